@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from agents.strategies.installed import load_strategy
+from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.plan import EstimationPlan
 from scenarios.check import check_and_plan
 from scenarios.scenario import Scenario
@@ -21,4 +22,6 @@ def check_with_strategy(scenario: Scenario) -> Scenario:
 def plan_with_strategy(scenario: Scenario) -> EstimationPlan | None:
     """As ``check_with_strategy``; the plan of the whole grid, where the check has made it (``check_and_plan``)."""
     strategy = load_strategy(scenario.strategy)
+    if problems := strategy.find_ring_problems(scenario.strategy, scenario.partition.areas):
+        raise InvalidInputError(f"scenario {scenario.name!r}", problems)
     return check_and_plan(scenario, strategy.local_meters if strategy.estimates_alone else None)

@@ -129,6 +129,7 @@ def _to_table(content: AreaFile, all_of: Callable[[Any, Sequence[Any]], Any]) ->
             "areas": area.n_areas,
             "entry_vm": area.entry_voltage[0],
             "entry_va": area.entry_voltage[1],
+            **({"no_load": [list(voltage) for voltage in area.no_load]} if area.no_load else {}),
         },
         **({"reference": dict(zip(("bus", "va"), area.reference, strict=True))} if area.reference else {}),
         "load_messages": {

@@ -14,6 +14,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.files.strict_table import load_strict
 from dsse_core.files.wording import describe_unknown
+from dsse_core.grid.boundary import boundary_at, boundary_of, find_wrong_name
 from dsse_core.grid.measurement import Meter, find_meter_problems
 from dsse_core.grid.network import Branch, Bus, Generator, Network
 from dsse_core.grid.partition import Area, Neighbour
@@ -77,13 +78,14 @@ def _area_of(t: Any, network: Network) -> Area:
     return Area(
         name=t.area,
         network=network,
-        neighbours=tuple(Neighbour(n.area, n.bus, n.is_parent) for n in t.neighbour),
+        neighbours=tuple(Neighbour(n.area, n.bus, n.is_parent, n.variables) for n in t.neighbour),
         slack_bus=t.local_slack.bus,
         slack_vm=t.local_slack.vm,
         reference=(t.reference.bus, t.reference.va) if t.reference else None,
         towards_hub=t.exchange.towards_hub,
         n_areas=t.exchange.areas,
         entry_voltage=(t.exchange.entry_vm, t.exchange.entry_va),
+        no_load=t.exchange.no_load,
     )
 
 
@@ -122,6 +124,8 @@ def _find_problems(t: Any) -> Iterator[str]:
     for i, n in enumerate(t.neighbour):
         if n.bus not in buses:
             yield f"neighbour[{i + 1}].bus: bus {n.bus} is not in the network"
+        if wrong := n.variables and _find_wrong_variables(t, n, buses):
+            yield f"neighbour[{i + 1}].variables: {wrong}"
         if n.area == t.area:
             yield f"neighbour[{i + 1}].area: {n.area} is the area itself"
         if n.area in names[:i]:
@@ -131,7 +135,9 @@ def _find_problems(t: Any) -> Iterator[str]:
             yield f"{key}.bus: bus {bus} is not in the network"
     controls = zip(_values_of(t.network.generator, "control"), _values_of(t.network.generator, "bus"), strict=False)
     substations = [bus for control, bus in controls if control == "slack"]
-    at_parent = [n.bus for n in t.neighbour if n.is_parent]  # where the parent may have the substation
+    at_parent = [
+        bus for n in t.neighbour if n.is_parent for bus in _buses_of(n)
+    ]  # where the parent may have the substation
     if t.reference and t.reference.bus in buses and t.reference.bus not in (*substations, *at_parent):
         yield (
             f"reference.bus: bus {t.reference.bus} is not the substation, from which all angles count; "
@@ -139,6 +145,9 @@ def _find_problems(t: Any) -> Iterator[str]:
         )
     if t.exchange.towards_hub not in (None, *names):
         yield f"exchange.towards_hub: {t.exchange.towards_hub} is no neighbour"
+    rings = {bus for n in t.neighbour if n.variables for bus in _buses_of(n)}
+    if rings != {bus for bus, _, _ in t.exchange.no_load}:
+        yield f"exchange.no_load: must have the voltage of each of the buses {sorted(rings)}, where a ring passes"
     if t.exchange.areas <= len(names):
         yield f"exchange.areas: is {t.exchange.areas}; this area and its neighbours alone are {len(names) + 1}"
     if sum(n.is_parent for n in t.neighbour) != (0 if substations else 1):
@@ -148,6 +157,23 @@ def _find_problems(t: Any) -> Iterator[str]:
     yield from find_problems_in("listen", t.listen, listens=True)
     if not (t.endpoints or t.listen):
         yield "endpoints: is empty; name a router, or give listen, where neighbours link with this area"
+
+
+def _find_wrong_variables(t: Any, neighbour: Any, buses: Collection[int]) -> str:
+    """What is wrong with the variables that the area and ``neighbour`` share; empty if nothing is."""
+    if wrong := find_wrong_name(neighbour.variables):
+        return f"has {wrong}; write them as the split has"
+    boundary = boundary_of(neighbour.variables)
+    if missing := sorted({*boundary.buses} - {*buses}):
+        return f"bus {missing[0]} is not in the network"
+    child = t.area if neighbour.is_parent else neighbour.area
+    expected = boundary_at((neighbour.bus, *(bus for bus in boundary.buses if bus != neighbour.bus)), child).names
+    return "" if neighbour.variables == expected else f"must be {list(expected)} where these areas meet at these buses"
+
+
+def _buses_of(neighbour: Any) -> tuple[int, ...]:
+    is_named = neighbour.variables and not find_wrong_name(neighbour.variables)
+    return boundary_of(neighbour.variables).buses if is_named else (neighbour.bus,)
 
 
 def _find_telemetry_problems(t: Any) -> Iterator[str]:

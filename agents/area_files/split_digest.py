@@ -25,7 +25,7 @@ LEFT_OUT = frozenset(
     {
         *("format", "split", "run", "endpoints", "listen", "beat_s", "seed", "clock_error_s"),
         *("load_messages.p_error", "load_messages.q_error", "neighbour.faults"),  # injected faults
-        *("exchange.entry_vm", "exchange.entry_va"),  # where the iteration begins
+        *("exchange.entry_vm", "exchange.entry_va", "exchange.no_load"),  # where the iteration begins
         *("network.bus.name", "network.branch.name"),
     }
 )

@@ -38,6 +38,8 @@ from dsse_core.split_identity import DIGITS, END_OF_TIME
 
 PROBABILITIES = ("loss", "burst_enter", "burst_leave", "burst_loss", "duplicate", "corrupt")
 Digest = Annotated[str, Field(pattern=rf"^[0-9a-f]{{{DIGITS}}}$")]
+NoLoad = Annotated[tuple[int, Positive, float], Field(strict=False)]
+Names = Annotated[tuple[str, ...], Field(strict=False)]  # in a file a list
 Window = Annotated[tuple[NotNegative, NotNegative], Field(strict=False)]  # in a file a list
 
 
@@ -62,6 +64,9 @@ class ExchangeTable(Table):
     areas: int = Field(ge=1, description="how many areas the grid has")
     entry_vm: Positive = Field(description="voltage in p.u. where the area begins, seen from the substation")
     entry_va: float = Field(description="angle there in rad")
+    no_load: Annotated[tuple[NoLoad, ...], Field(strict=False)] = Field(
+        default=(), description="[bus, vm, va] in the unloaded grid, where two areas meet at several buses"
+    )
 
 
 class LoadMessagesTable(GenerationTable):
@@ -156,7 +161,9 @@ def area_table(*, of_columns: bool) -> Any:
         lie_scale=Positive,
         cuts=Annotated[tuple[Window, ...], Field(strict=False)],
     )
-    neighbour = create_model("Neighbour", __base__=_table_of(Neighbour, area=Name), faults=(faults, faults()))
+    neighbour = create_model(
+        "Neighbour", __base__=_table_of(Neighbour, area=Name, variables=Names), faults=(faults, faults())
+    )
     network = create_model(
         "NetworkTable",
         __base__=Table,

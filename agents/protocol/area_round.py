@@ -116,10 +116,9 @@ class AreaRound:
     def begin(self, readings: Sequence[Measurement], *, stale: bool, loads: Mapping[str, NetLoad]) -> None:
         """The readings of the term are there; ``loads``: what neighbours have sent of theirs."""
         silent = {n.area for n in self._area.neighbours} - self.links
-        stand_ins = {name: load for name, load in loads.items() if name in silent}
         self._has_begun = True
         try:
-            self.estimation.begin(readings, silent=silent, stale=stale, loads=stand_ins)
+            self.estimation.begin(readings, silent=silent, stale=stale, loads=loads)
         except FAILURES as error:
             self.estimation.fail(error)
 

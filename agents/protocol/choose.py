@@ -16,9 +16,11 @@ def make_protocol(content: AreaFile, incarnation: Incarnation, *, now: float, st
     """The protocol of the strategy that the area file names; see ``AreaProtocol`` for the arguments.
 
     Raises:
-        InvalidInputError: the strategy is not installed, or cannot be used.
+        InvalidInputError: the strategy is not installed, or cannot be used, or not between these areas.
     """
     cls = load_strategy(content.strategy)
+    if problems := cls.find_ring_problems(content.strategy, [content.area]):
+        raise InvalidInputError(f"area {content.area.name!r}", problems)
     if issubclass(cls, RoundsProtocol):
         return cls(content, incarnation, now=now, started_at=started_at)
     if issubclass(cls, Strategy):

@@ -46,6 +46,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
     """One area's part in rounds; for the arguments see ``AreaProtocol``."""
 
     message_types = (UpMessage, DownMessage)
+    takes_rings = True
 
     def __init__(self, content: AreaFile, incarnation: Incarnation, *, now: float, started_at: float) -> None:
         super().__init__(content, self.kinds(), incarnation, now=now, started_at=started_at)

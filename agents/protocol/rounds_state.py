@@ -286,9 +286,10 @@ class RoundsState:
                 continue
             dvm, dva = self._find_mismatch(name, outcome, peer.y)
             if max(dvm, dva) > MISMATCH:
+                met = ", ".join(map(str, self._area.boundaries[name].buses))
                 yield (
                     name,
-                    f"boundary mismatch with {name} at bus {peer.bus}: its final voltage differs by {dvm:.3g} p.u. and "
+                    f"boundary mismatch with {name} at bus {met}: its final voltage differs by {dvm:.3g} p.u. and "
                     f"{math.degrees(dva):.3g} deg; one of the two sides says false things",
                 )
 

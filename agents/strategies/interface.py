@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -84,11 +84,24 @@ class AnyStrategy:
             consensus does not wait for it.
         estimates_alone: each area makes its estimate of ``local_meters`` and of what its neighbours send, and must
             be observable with these; else the areas must be observable together.
+        takes_rings: two areas may meet at several buses (``Boundary``).
     """
 
     message_types: ClassVar[tuple[type[Any], ...]] = ()
     reconciles_magnitudes: ClassVar[bool] = True
     estimates_alone: ClassVar[bool] = False
+    takes_rings: ClassVar[bool] = False
+
+    @classmethod
+    def find_ring_problems(cls, strategy: str, areas: Iterable[Area]) -> list[str]:
+        """Pairs of areas that meet at several buses, where ``strategy``, which this class is, cannot take that."""
+        met = {frozenset((a.name, n.area)): a.boundaries[n.area].buses for a in areas for n in a.neighbours}
+        return [
+            f"areas {' and '.join(sorted(pair))} meet at buses {', '.join(map(str, buses))}: a ring, which "
+            f"strategy {strategy!r} cannot take; use 'information', or cut where they meet at one bus"
+            for pair, buses in met.items()
+            if len(buses) > 1 and not cls.takes_rings
+        ]
 
     @classmethod
     def kinds(cls) -> tuple[str, ...]:

@@ -62,9 +62,9 @@ def _find_mismatches(observer: Observer, name: str) -> list[tuple[float, float]]
     """Differences of magnitude and angle to each neighbour that has shown an estimate, p.u. and rad."""
     if not observer.states[name].buses:
         return []
-    neighbours = observer.partition.area(name).neighbours
-    shown = [n for n in neighbours if n.area in observer.states and observer.states[n.area].buses]
-    return [observer.mismatch_at(n.bus, name, n.area) for n in shown]
+    boundaries = observer.partition.area(name).boundaries
+    shown = [other for other in boundaries if other in observer.states and observer.states[other].buses]
+    return [observer.mismatch_at(bus, name, other) for other in shown for bus in boundaries[other].buses]
 
 
 def _describe_state(state: StateMessage, agrees: bool) -> str:

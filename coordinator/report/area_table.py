@@ -68,7 +68,7 @@ def format_area_tables(partition: Partition) -> str:
 
 def _count_owned(partition: Partition) -> dict[str, int]:
     """Area -> how many buses it owns."""
-    return {area.name: len(area.network.buses) - (area.parent is not None) for area in partition.areas}
+    return {area.name: len(area.network.buses) - len(area.not_owned) for area in partition.areas}
 
 
 def _name_some(items: Sequence[object]) -> str:

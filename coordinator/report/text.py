@@ -121,7 +121,8 @@ def format_area_check(file: AreaFile) -> str:
 
 
 def _describe_area(area: Area, meters: int) -> str:
-    towards = f"beyond {area.parent.area} at bus {area.parent.bus}" if area.parent else "with the substation"
+    met = ", ".join(map(str, area.not_owned))
+    towards = f"beyond {area.parent.area} at bus {met}" if area.parent else "with the substation"
     slack = "voltage received from there" if area.slack_vm is None else f"{area.slack_vm:g} p.u."
     return (
         f"{area.name}: {len(area.network.buses)} buses, {towards}, {meters} meters, "

@@ -16,7 +16,7 @@ import numpy as np
 from dsse_core.errors import DsseError
 from dsse_core.estimation.decision import MOST_NAMED, Decision, Memory, Totals, Verdict
 from dsse_core.estimation.residuals import find_dead
-from dsse_core.exchange.boundary_load import NetLoad, stand_in_for
+from dsse_core.exchange.boundary_load import NetLoad, stand_in_as_it_was, stand_in_for
 from dsse_core.exchange.feeder_bad_data import (
     NoLoadModel,
     build_no_load_model,
@@ -24,7 +24,6 @@ from dsse_core.exchange.feeder_bad_data import (
     find_objective,
 )
 from dsse_core.exchange.meter_checks import estimate_readings, find_critical, find_suspects
-from dsse_core.grid.admittance import find_no_load
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.partition import Area
 from dsse_core.linear import choose_backend
@@ -73,6 +72,7 @@ class AreaEstimation:
         self._received: Received = {}  # at ``linearized_at``
         self._boundary_values: dict[str, tuple[np.ndarray, tuple[float, ...]]] = {}  # of which x
         self._aged: dict[str, BoundaryInformation] = {}
+        self._last_y: dict[str, np.ndarray] = {}  # where areas meet at several buses: y while the neighbour was there
         self._stand_ins: dict[str, BoundaryInformation] = {}
         self._omega: np.ndarray | None = None  # of the residuals, of the model and state of ``find_sigmas``
         self._model: AreaModel | None = None
@@ -107,18 +107,28 @@ class AreaEstimation:
         """Start at the state so far, with ``readings``, virtual ones included; ``silent``: neighbours not in use.
 
         ``stale``: the readings are not of this scan. ``loads``: neighbour -> its load message, which stands in for
-        its information as long as that has never been received.
+        its information as long as that has never been received; see ``stand_in_as_it_was`` of boundaries in a ring.
         """
         self._readings, self._silent, self._is_stale = tuple(readings), frozenset(silent), stale
         if (meters := tuple(m.meter for m in self._readings)) != self._meters_read:
             self._meters_read, self.own_meters = meters, frozenset(meter.id for meter in meters)
         self.reported = set()
-        self._stand_ins = {
-            name: stand_in_for(self._by_name[name], self.area.boundaries[name], load)
-            for name, load in (loads or {}).items()
-        }
         self._start = self._start_of_term = self._flat if self.failure else self.x
         self._start_anew(())
+        self._stand_ins = self._find_stand_ins(loads or {})
+
+    def _find_stand_ins(self, loads: Mapping[str, NetLoad]) -> dict[str, BoundaryInformation]:
+        """Silent neighbour -> what stands in for its information."""
+        found, boundaries = {}, self.area.boundaries
+        for name in self._silent:
+            if not boundaries[name].is_single:
+                own = sum(map(abs, self.area.scheduled_loads.values()))
+                y = self._last_y.get(name)
+                y = self.model.boundary_values(self._flat, self._by_name[name]) if y is None else y
+                found[name] = stand_in_as_it_was(boundaries[name], y, own + sum(abs(load.s) for load in loads.values()))
+            elif name in loads:
+                found[name] = stand_in_for(self._by_name[name], boundaries[name], loads[name])
+        return found
 
     def _start_anew(self, removed: Sequence[str]) -> None:
         self.failure = ""
@@ -283,12 +293,17 @@ class AreaEstimation:
                 case Decision.EVALUATE:
                     self._evaluate()
                 case Decision.FINAL:
-                    last = {
-                        name: information for name, information in self._received.items() if name not in self._silent
-                    }
-                    self._aged |= {n: BoundaryInformation(AGED * m.R, AGED * m.z) for n, m in last.items()}
+                    self._keep_last({n: m for n, m in self._received.items() if n not in self._silent})
         except FAILURES as error:
             self.fail(error)
+
+    def _keep_last(self, received: Received) -> None:
+        """Of the end of a scan what may have to stand in for the neighbours that have sent ``received``."""
+        for name, message in received.items():
+            if self.area.boundaries[name].is_single:
+                self._aged[name] = BoundaryInformation(AGED * message.R, AGED * message.z)
+            else:
+                self._last_y[name] = self.model.boundary_values(self.x, self._by_name[name])
 
     def prepare(self) -> None:
         """Do what the next round needs and no message states."""
@@ -389,7 +404,5 @@ def _as_ranges(buses: Sequence[int]) -> tuple[str, ...]:
 
 def _flat_start(area: Area) -> np.ndarray:
     """x of the flat start of the whole grid, without power into children."""
-    vm, va = find_no_load(area.network, area.entry_bus)
-    entry_vm, entry_va = area.entry_voltage
-    vm, va = vm * entry_vm, va + entry_va
+    vm, va = area.find_no_load()
     return np.concatenate([va, vm, np.zeros(len(area.powers_into_children))])

@@ -20,6 +20,7 @@ from dsse_core.linear.boundary_information import BoundaryInformation
 
 UNSURE_OF_LOAD = 0.1  # share of a net load, which neglects losses, and
 LEAST_LOAD = 0.01  # p.u.: what they add to its standard deviation
+AS_IT_WAS = 0.05  # p.u. and rad: standard deviation of a voltage where areas meet at several buses, beside what it was
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +84,17 @@ def stand_in_for(neighbour: Neighbour, boundary: Boundary, load: NetLoad) -> Bou
     weight = 1 / (load.variance**0.5 + UNSURE_OF_LOAD * abs(load.s) + LEAST_LOAD)
     R = np.diag(boundary.per_kind(weight, weight, 0.0, 0.0))
     return BoundaryInformation(R, R @ boundary.per_kind(power.real, power.imag, 0.0, 0.0))
+
+
+def stand_in_as_it_was(boundary: Boundary, y: np.ndarray, all_load: float) -> BoundaryInformation:
+    """What is stated of a ``boundary`` at several buses where the neighbour is silent: near y, as it was, shape (d,).
+
+    A net load has no side in a ring, and what the neighbour has sent last rests on switches that it may have operated.
+    ``all_load``: sum of the sizes of loads on both sides, p.u., within which each power stays.
+    """
+    power = 1 / (all_load + LEAST_LOAD)
+    R = np.diag(boundary.per_kind(power, power, 1 / AS_IT_WAS, 1 / AS_IT_WAS))
+    return BoundaryInformation(R, R @ y)
 
 
 def scheduled_load_messages(partition: Partition) -> dict[str, dict[str, NetLoad]]:

@@ -59,6 +59,9 @@ class NoLoadModel:
     def information_for(self, neighbour: Neighbour, received: Mapping[str, BoundaryInformation]) -> BoundaryInformation:
         information = self.linear.information(self.x, neighbour, self._at_own_voltage(received))
         boundary = self.model.boundary_of(neighbour)
+        if not boundary.is_single:
+            R = _keep_something(information.R, boundary.n_powers, self.typical) * self._voltage_of(neighbour)
+            return BoundaryInformation(R, np.zeros(boundary.d))
         n, turn = boundary.n_powers, np.eye(boundary.d)
         # of powers given the voltages, of the voltages
         for rows, unit in ((slice(n), self.typical), (slice(n, boundary.d), 1.0)):
@@ -95,11 +98,28 @@ class NoLoadModel:
         return np.array([size ** int(degree) for size, degree in zip(vm.tolist(), boundary.degrees, strict=True)])
 
 
+def _keep_something(R: np.ndarray, n: int, typical: float) -> np.ndarray:
+    """What R, shape (d, d), holds of n powers given the voltages, then of the voltages, without what is nothing.
+
+    Where the rows of powers hold none, they tell of voltages: reflections leave that where they find it.
+    """
+    U, size, _ = np.linalg.svd(R[:n, :n])
+    of_powers, is_something = U.T @ R[:n], size * typical >= NOTHING_AT_NO_LOAD
+    of_voltages = np.concatenate([of_powers[~is_something, n:], R[n:, n:]])
+    U, size, _ = np.linalg.svd(of_voltages, full_matrices=False)
+    of_voltages = (U.T @ of_voltages)[size >= NOTHING_AT_NO_LOAD]
+    found = np.zeros_like(R)
+    for first, rows in ((0, of_powers[is_something]), (n, np.pad(of_voltages, ((0, 0), (n, 0))))):
+        found[first : first + len(rows), first:] = np.linalg.qr(rows[:, first:], mode="r")
+    return found
+
+
 def build_no_load_model(area: Area, measurements: Sequence[Measurement], reference: int | None) -> NoLoadModel:
     """``reference``: bus of the grid's angle reference, if the area sees it."""
     but_currents = [m for m in measurements if m.meter.kind is not MeasurementKind.CURRENT]
     model = build_area_model(area, but_currents, reference, with_shunts=False)
-    vm, va = flat_start(area.network, area.slack_bus if reference is None else reference)
+    start = area.slack_bus if reference is None else reference
+    vm, va = area.find_no_load() if area.no_load else flat_start(area.network, start)
     x = np.concatenate([va, vm, np.zeros(model.size - 2 * len(vm))])
     of_power = ~np.isin(model.kinds, (MeasurementKind.VM, MeasurementKind.VA))
     typical = np.median([1 / abs(complex(b.r, b.x)) for b in area.network.active_branches] or [1.0])

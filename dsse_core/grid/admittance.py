@@ -61,11 +61,15 @@ def flat_start(
 
 
 def find_no_load(
-    network: Network, reference: int, held: Mapping[int, float] | None = None
+    network: Network,
+    reference: int,
+    held: Mapping[int, float] | None = None,
+    angles: Mapping[int, float] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The voltages (vm, va) of the unloaded network, p.u. and rad; angles may be beyond half a turn.
 
-    0 rad at bus ``reference``. ``held``: bus -> the magnitude there, p.u.; 1 p.u. at ``reference`` unless it is given.
+    ``held``: bus -> the magnitude there, p.u.; 1 p.u. at ``reference`` unless it is given. ``angles``: bus -> the angle
+    there, rad; 0 rad at ``reference`` unless it is given.
     On a tree a walk from the reference follows tap ratios and phase shifts. Where loops close with another voltage than
     they began with, or further buses hold theirs, magnitudes and angles balance, each for themselves:
 
@@ -75,17 +79,20 @@ def find_no_load(
     network that share one bus can each be balanced alone.
     """
     table, held = network.table, {reference: 1.0} | dict(held or {})
+    angles = {reference: 0.0} | dict(angles or {})
     n, active = len(table.bus_id), table.active
     tap, shift = table.tap[active], table.shift[active]
     vm, va, is_given = np.ones(n), np.zeros(n), np.zeros(n, dtype=bool)
-    is_given[network.row[reference]] = True
     turns, transforms = bool((shift != 0.0).any()), bool((tap != 1.0).any())
     if turns or transforms:
         vm, va = _walk(network, reference, tap, shift)
-    vm *= held[reference]
+    vm, va = vm * held[reference], va + angles[reference]
+    for bus, angle in angles.items():
+        va[network.row[bus]], is_given[network.row[bus]] = angle, True
     has_loops = len(active) > n - table.island.max() - 1
-    if turns and has_loops:
+    if (turns and has_loops) or len(angles) > 1:
         va = _balance(table, np.ones(len(active)), shift, is_given, va)
+    is_given[:] = False
     for bus, magnitude in held.items():
         vm[network.row[bus]], is_given[network.row[bus]] = magnitude, True
     if (transforms and has_loops) or len(held) > 1:

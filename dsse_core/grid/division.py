@@ -11,6 +11,7 @@ import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import find_no_load
+from dsse_core.grid.boundary import boundary_at, boundary_of
 from dsse_core.grid.columns import Records, split_by, take_items
 from dsse_core.grid.network import Bus, Control, Generator, Network
 from dsse_core.grid.partition import Area, Neighbour, Partition
@@ -28,7 +29,7 @@ def build_partition(
 
     Raises:
         InvalidInputError: listing every bus or branch in no area, area in pieces, unknown name, and the
-            cycle if areas form a loop.
+            cycle if a ring passes through more than two areas.
     """
     local_slack = local_slack or {}
     members = _find_members(network, area_buses)
@@ -46,7 +47,7 @@ def build_partition(
     areas = []
     for name, rows, held in zip(members.names, members.rows, branches, strict=True):
         parent = next((n for n in neighbours[name] if n.is_parent), None)
-        part = _cut_out(network, name, rows, held, generators[name], parent.bus if parent else None)
+        part = _cut_out(network, name, rows, held, generators[name], _buses_at(parent))
         bus, vm = local_slack.get(name) or _default_slack(part, parent)
         reference = (network.slack.bus, network.slack.va) if name in at_slack else None
         areas.append(Area(name, part, tuple(neighbours[name]), bus, vm, reference))
@@ -91,11 +92,19 @@ def _with_schedule(partition: Partition) -> Partition:
     network, towards = partition.network, _find_ways(partition, partition.hub)
     assert network.slack is not None  # checked by _find_bus_problems
     vm, va = find_no_load(network, network.slack.bus)
+    unloaded = {bus: (float(vm[row]), float(va[row]) + network.slack.va) for bus, row in network.row.items()}
     areas = []
     for area in partition.areas:
-        row = network.row[area.entry_bus]
-        entry = float(vm[row]), float(va[row]) + network.slack.va
-        areas.append(replace(area, towards_hub=towards[area.name], n_areas=len(partition.areas), entry_voltage=entry))
+        rings = dict.fromkeys(bus for b in area.boundaries.values() if len(b.buses) > 1 for bus in b.buses)
+        areas.append(
+            replace(
+                area,
+                towards_hub=towards[area.name],
+                n_areas=len(partition.areas),
+                entry_voltage=unloaded[area.entry_bus],
+                no_load=tuple((bus, *unloaded[bus]) for bus in rings),
+            )
+        )
     return Partition(network, tuple(areas))
 
 
@@ -160,8 +169,8 @@ def _assign_branches(network: Network, members: _Members) -> tuple[list[np.ndarr
             )
         elif len(homes) > 1:
             problems.append(
-                f"areas {', '.join(names[area] for area in homes)} form a loop: all of them list both ends of branch "
-                f"{called}; two areas may share one bus only"
+                f"areas {', '.join(names[area] for area in homes)} all list both ends of branch {called}; leave bus "
+                f"{table.from_bus[branch]} or {table.to_bus[branch]} out of all but one of them"
             )
     area, place = (np.concatenate(part) for part in zip(*pairs, strict=True))
     order = np.argsort(place, kind="stable")
@@ -194,7 +203,10 @@ def _find_pieces(network: Network, members: _Members, area: np.ndarray, place: n
 
 
 def _grow_tree(network: Network, members: _Members) -> dict[str, list[Neighbour]]:
-    """Walk from the substation over areas and boundary buses; a second way to the same place is a loop."""
+    """Walk from the substation over areas and boundary buses; an area and its parent may meet at several of these.
+
+    Any other second way to the same place is a ring through more areas.
+    """
     assert network.slack is not None  # checked by _find_bus_problems
     ids, names = network.table.bus_id, members.names
     meeting = {int(ids[row]): [names[area] for area in areas] for row, areas in members.areas_at.items()}
@@ -202,26 +214,42 @@ def _grow_tree(network: Network, members: _Members) -> dict[str, list[Neighbour]
     for bus in sorted(meeting):
         for name in meeting[bus]:
             shared[name].append(bus)
-    neighbours: dict[str, list[Neighbour]] = {name: [] for name in names}
+    met: dict[str, list[int]] = {name: [] for name in names}  # buses at which an area and its parent meet
+    order: dict[str, list[str]] = {name: [] for name in names}  # the neighbours of an area
     root = names[members.find_areas(network.row[network.slack.bus])[0]]
     entered_by: dict[str, tuple[int, str] | None] = {root: None}  # area -> (boundary bus, its owner)
     queue = deque([root])
     while queue:
         name = queue.popleft()
-        here = entered_by[name]
         for bus in shared[name]:
-            if here is not None and bus == here[0]:
-                continue  # all areas there have been entered together with this one
+            if bus in met[name]:
+                continue  # the parent has been at all areas there
             for other in meeting[bus]:
                 if other == name:
                     continue
-                if other in entered_by:
+                if other not in entered_by:
+                    entered_by[other] = (bus, name)
+                    order[name].append(other)
+                    order[other].append(name)
+                    queue.append(other)
+                elif (entry := entered_by[other]) is None or entry[1] != name:
                     raise _loop_error(network, entered_by, name, other, bus)
-                entered_by[other] = (bus, name)
-                neighbours[name].append(Neighbour(other, bus, is_parent=False))
-                neighbours[other].append(Neighbour(name, bus, is_parent=True))
-                queue.append(other)
-    return neighbours
+                met[other].append(bus)
+    parents = {name: entry[1] for name, entry in entered_by.items() if entry}
+    return {name: [_meet(name, other, parents, met) for other in others] for name, others in order.items()}
+
+
+def _meet(name: str, other: str, parents: Mapping[str, str], met: Mapping[str, Sequence[int]]) -> Neighbour:
+    """``other`` as the neighbour of area ``name``."""
+    is_parent = parents.get(name) == other
+    child = name if is_parent else other
+    buses = met[child]
+    return Neighbour(other, buses[0], is_parent, boundary_at(buses, child).names if len(buses) > 1 else ())
+
+
+def _buses_at(parent: Neighbour | None) -> tuple[int, ...]:
+    """The boundary buses that ``parent`` owns."""
+    return () if parent is None else boundary_of(parent.variables).buses or (parent.bus,)
 
 
 def _loop_error(
@@ -245,7 +273,10 @@ def _loop_error(
     text = " - ".join([*cycle, cycle[0]])
     return InvalidInputError(
         f"areas of network {network.name!r}",
-        [f"areas form a loop: {text}, closed at bus {bus}; move the cut so that the areas form a tree"],
+        [
+            f"areas form a loop: {text}, closed at bus {bus}; a ring may pass through an area and its parent only: "
+            "move the cut so that the areas form a tree"
+        ],
     )
 
 
@@ -254,7 +285,7 @@ def _find_generators(
 ) -> dict[str, list[Generator]]:
     """Area -> the generators at the buses that it owns."""
     found: dict[str, list[Generator]] = {name: [] for name in members.names}
-    not_owned = {name: {n.bus for n in of if n.is_parent} for name, of in neighbours.items()}
+    not_owned = {name: {bus for n in of if n.is_parent for bus in _buses_at(n)} for name, of in neighbours.items()}
     for generator in network.generators:
         for area in members.find_areas(network.row[generator.bus]):
             if generator.bus not in not_owned[name := members.names[area]]:
@@ -268,12 +299,12 @@ def _cut_out(
     rows: np.ndarray,
     branches: np.ndarray,
     generators: Sequence[Generator],
-    not_owned: int | None,
+    not_owned: Sequence[int],
 ) -> Network:
     """The part of the network that area ``name`` knows, its buses and branches by rows; a bus not owned is bare."""
     buses = take_items(network.buses, rows)
-    if not_owned is not None:
-        buses = _bare(buses, int(np.searchsorted(rows, network.row[not_owned])))
+    for bus in not_owned:
+        buses = _bare(buses, int(np.searchsorted(rows, network.row[bus])))
     return Network(name, network.base_mva, buses, take_items(network.branches, branches), tuple(generators))
 
 

@@ -2,7 +2,8 @@
 
 Branches are divided among areas; a boundary bus is seen by every area whose branches meet there. Seen
 from the substation, the first area at a boundary bus owns it (its load, its generators, its meters); the
-others are children of the owner there. Neighbours are owner and child: the edges of the tree.
+others are children of the owner there. Neighbours are owner and child: the edges of the tree. They may meet at several
+buses, so that a ring passes through both; all of these the parent owns.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from functools import cached_property
 
 import numpy as np
 
-from dsse_core.grid.boundary import Boundary, Variable, boundary_at
+from dsse_core.grid.admittance import find_no_load
+from dsse_core.grid.boundary import Boundary, Variable, boundary_at, boundary_of
 from dsse_core.grid.columns import Records, split_by, take_items
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.network import Network
@@ -24,11 +26,15 @@ MOST_SHOWN = 4  # names of areas in one line
 
 @dataclass(frozen=True, slots=True)
 class Neighbour:
-    """Another area met at boundary bus ``bus``; ``is_parent`` if it lies towards the substation."""
+    """Another area met at boundary bus ``bus``, the first of several; ``is_parent`` if it lies towards the substation.
+
+    ``variables``: names of those that both areas share (``boundary.py``), where they meet at several buses.
+    """
 
     area: str
     bus: int
     is_parent: bool
+    variables: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, repr=False)
@@ -38,7 +44,9 @@ class Area:
     ``network`` holds the area's buses and branches; load, shunt and generators of a boundary bus stand only
     in the network of its owner. ``slack_bus`` is where the local power flow holds the voltage; ``slack_vm``
     its set-point in p.u., None when it is the voltage that the parent publishes for that bus. ``reference``:
-    bus and angle (rad) of the substation, in every area that sees it.
+    bus and angle (rad) of the substation, in every area that sees it. ``entry_voltage``: (vm, va), p.u. and rad, of
+    ``entry_bus`` in the unloaded grid. ``no_load``: (bus, vm, va) of the boundary buses in rings there, which the area
+    alone does not know, as taps need not cancel around a ring.
     """
 
     name: str
@@ -50,6 +58,7 @@ class Area:
     towards_hub: str | None = None
     n_areas: int = 1
     entry_voltage: tuple[float, float] = (1.0, 0.0)
+    no_load: tuple[tuple[int, float, float], ...] = ()
 
     def __repr__(self) -> str:
         buses, branches = len(self.network.buses), len(self.network.branches)
@@ -72,7 +81,16 @@ class Area:
     @cached_property
     def boundaries(self) -> dict[str, Boundary]:
         """Neighbour -> the variables that it and this area share."""
-        return {n.area: boundary_at((n.bus,), self.name if n.is_parent else n.area) for n in self.neighbours}
+        return {
+            n.area: boundary_of(n.variables or boundary_at((n.bus,), self.name if n.is_parent else n.area).names)
+            for n in self.neighbours
+        }
+
+    def find_no_load(self) -> tuple[np.ndarray, np.ndarray]:
+        """Its voltages (vm, va) in the unloaded grid, (n_bus,), p.u. and rad."""
+        held = {bus: vm for bus, vm, _ in self.no_load} | {self.entry_bus: self.entry_voltage[0]}
+        angles = {bus: va for bus, _, va in self.no_load} | {self.entry_bus: self.entry_voltage[1]}
+        return find_no_load(self.network, self.entry_bus, held, angles)
 
     @cached_property
     def not_owned(self) -> tuple[int, ...]:

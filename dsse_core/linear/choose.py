@@ -19,15 +19,16 @@ DENSE_BELOW = 40  # buses of an area, below which dense matrices cost less than 
 
 
 def choose_backend(area: Area, backend: Backend = "auto") -> Literal["radial", "sparse", "dense"]:
-    """What computes if ``backend`` is asked for; radial, for which numba is loaded, where it can serve."""
+    """What computes if ``backend`` is asked for; radial, for which numba is loaded, where it can serve.
+
+    What areas that meet at several buses know of these is found by reflections alone.
+    """
     n_bus = len(area.network.buses)
+    if not all(boundary.is_single for boundary in area.boundaries.values()):
+        return "dense"
     if backend == "radial" or (backend == "auto" and n_bus >= RADIAL_FROM):
         return "sparse" if find_why_not_radial(area.network) else "radial"
-    return "dense" if _is_dense(area, backend) else "sparse"
-
-
-def _is_dense(area: Area, backend: Backend) -> bool:
-    return backend == "dense" or (backend == "auto" and len(area.network.buses) < DENSE_BELOW)
+    return "dense" if backend == "dense" or (backend == "auto" and n_bus < DENSE_BELOW) else "sparse"
 
 
 def needs_compiled_code(area: Area) -> bool:
@@ -36,7 +37,7 @@ def needs_compiled_code(area: Area) -> bool:
 
 
 def make_rows(model: AreaMeasurements) -> Rows:
-    return DenseRows(model) if _is_dense(model.area, model.backend) else SparseRows(model)
+    return DenseRows(model) if choose_backend(model.area, model.backend) == "dense" else SparseRows(model)
 
 
 def make_linear(model: AreaMeasurements, rows: Rows) -> LinearArea:

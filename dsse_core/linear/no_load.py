@@ -4,8 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from dsse_core.grid.boundary import Boundary
+from dsse_core.grid.partition import Neighbour
+from dsse_core.linear.area_measurements import AreaMeasurements
+from dsse_core.linear.boundary_information import EXACT_SIGMA, BoundaryInformation
+from dsse_core.linear.dense import DenseRows
 from dsse_core.linear.interface import Matrix, Received
+from dsse_core.linear.reduced import ReducedSolver
 from dsse_core.linear.rows import TableauSolver
+from dsse_core.linear.sparse import SparseRows
 from dsse_core.matrices.augmented import AugmentedFactor
 
 NO_LOAD_NOT_YET = 1e-18  # information given to what nothing determines, relative to what rows give where less than 1
@@ -24,6 +31,18 @@ class NoLoadSolver(TableauSolver):
     """
 
     nothing_of_voltage = 0.0
+
+    def __init__(self, model: AreaMeasurements, rows: SparseRows, name: str) -> None:
+        super().__init__(model, rows, name)
+        self._by_reflections: NoLoadReflections | None = None
+
+    def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
+        """See ``LinearArea``; of a boundary at several buses by reflections, powers given the voltages first."""
+        if self.model.boundary_of(neighbour).is_single:
+            return super().information(x, neighbour, received)
+        if self._by_reflections is None:
+            self._by_reflections = NoLoadReflections(self.model, DenseRows(self.model), self.name)
+        return self._by_reflections.information(x, neighbour, received)
 
     def factor(self, H: Matrix, sigma: np.ndarray, columns: np.ndarray) -> AugmentedFactor:
         H, damping = self._damp(H, sigma, columns)
@@ -69,3 +88,22 @@ class NoLoadSolver(TableauSolver):
             if (squares >= DRAWS * enough).all():
                 break
         return variance, squares / DRAWS
+
+
+class NoLoadReflections(ReducedSolver):
+    """Information without load about the variables of a boundary at several buses."""
+
+    def least_information(self, columns: np.ndarray) -> np.ndarray:
+        """As ``NoLoadSolver`` damps, of powers by as much as they weigh in a meter of theirs."""
+        of_power = min(1.0, self._sigma_of_power**-2)
+        of_voltage = columns < 2 * len(self.model.area.network.buses)
+        return NO_LOAD_NOT_YET * np.where(of_voltage, 1.0, of_power)
+
+    def tied_sigma(self, boundary: Boundary) -> float:
+        """As much less than that of meters of power as an exact one is less than 1."""
+        return EXACT_SIGMA * self._sigma_of_power
+
+    @property
+    def _sigma_of_power(self) -> float:
+        """The one that all meters of power have without load."""
+        return float(self.model.sigma.max(initial=1.0))

@@ -145,13 +145,20 @@ class ReducedSolver(RowSolver):
         reduced, (columns, places) = self._reduce(x), self._order.towards[neighbour.area]
         (y, dy), boundary = reduced.boundaries[neighbour.area], self.model.boundary_of(neighbour)
         rows = self._stack(reduced, {name: sent for name, sent in received.items() if name != neighbour.area})
-        rows = _with_powers(rows, dy, boundary) if neighbour.is_parent else rows
+        rows = _with_powers(rows, dy, boundary.n_powers, self.tied_sigma(boundary)) if neighbour.is_parent else rows
         k = len(places)
         rows = _triangulate(_eliminate(rows[:, columns], len(columns) - 1 - k).rows)
         R, z = np.zeros((boundary.d, boundary.d)), np.zeros(boundary.d)
         R[:k, places], z[:k] = rows[:k, :-1], rows[:k, -1]
         R = _undo_shifts(R, places, y, boundary)
         return BoundaryInformation(R, R @ y + z)
+
+    def tied_sigma(self, boundary: Boundary) -> float:
+        """Of rows that tie powers to voltages.
+
+        Where areas meet at several buses, rows heavier than exact ones would leave to rounding what these know.
+        """
+        return TIED_SIGMA if boundary.is_single else EXACT_SIGMA
 
     def _stack(self, reduced: _Reduced, received: Received, *, with_shifts: bool = False) -> np.ndarray:
         """The rows of the boundaries, of messages, and of next to no weight for shifts that nothing determines."""
@@ -211,7 +218,7 @@ class ReducedSolver(RowSolver):
         dy = order.picks[neighbour.area].copy()
         if neighbour.is_parent:
             y, T = self.rows.boundary(x, neighbour)
-            C = self.rows.full(T[: boundary.n_powers])
+            C = T[: boundary.n_powers]
             dy[: boundary.n_powers, : len(order.read) - n] = C[:, order.read[n:]]
             dy[: boundary.n_powers, -2] = -C[:, self.model.fixed].sum(axis=1)
         else:
@@ -295,12 +302,8 @@ def _with_power(rows: np.ndarray, power: np.ndarray) -> np.ndarray:
     return moved
 
 
-def _with_powers(rows: np.ndarray, dy: np.ndarray, boundary: Boundary) -> np.ndarray:
-    """``rows`` with changes of the parent's powers before the other variables, but for what the shift makes of them.
-
-    Where areas meet at several buses, ties heavier than exact rows would leave to rounding what these know of voltages.
-    """
-    n, sigma = boundary.n_powers, TIED_SIGMA if boundary.is_single else EXACT_SIGMA
+def _with_powers(rows: np.ndarray, dy: np.ndarray, n: int, sigma: float) -> np.ndarray:
+    """``rows`` with changes of n powers, the parent's, before other variables, but for what the shift makes of them."""
     tie = dy[:n].copy()
     tie[:, -3] = tie[:, -1] = 0.0
     wide = np.zeros((len(rows) + n, rows.shape[1] + n))

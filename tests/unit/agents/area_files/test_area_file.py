@@ -154,3 +154,44 @@ def test_names_and_ratings_of_some_branches_are_read_back(tmp_path: Path, conten
     path = tmp_path / f"area{suffix}"
     save_area_file(path, rated)
     assert load_area_file(path) == rated
+
+
+def ring_of_two() -> AreaFile:
+    """The area behind the substation's of two that meet at buses 2 and 3."""
+    buses = tuple(Bus(id=k, base_kv=20.0, p_load=0.1) for k in (1, 2, 3, 4))
+    branches = tuple(Branch(f"{f}-{t}", f, t, r=0.01, x=0.01, b=0.0) for f, t in ((1, 2), (1, 3), (2, 4), (3, 4)))
+    network = Network("ring", 1.0, buses, branches, (Generator(1, Control.SLACK),))
+    area = build_partition(network, {"one": [1, 2, 3], "two": [2, 3, 4]}).area("two")
+    return AreaFile("run", area, (), "information", ("tcp/127.0.0.1:7447",), links={"one": LinkFaults()})
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".json"])
+def test_an_area_that_meets_its_parent_at_several_buses_is_read_back(tmp_path: Path, suffix: str):
+    path, content = tmp_path / f"area{suffix}", ring_of_two()
+    assert content.area.no_load == ((2, 1.0, 0.0), (3, 1.0, 0.0))
+    save_area_file(path, content)
+    assert load_area_file(path) == content
+
+
+@pytest.mark.parametrize(
+    ("names", "problem"),
+    [
+        (
+            ["s@2>two", "v@2", "s@3>two"],
+            "has a voltage before a power among the variables; write them as the split has",
+        ),
+        (["s@2>two", "s@9>two", "v@2", "v@9"], "bus 9 is not in the network"),
+        (
+            ["s@2>two", "s@3>one", "v@2", "v@3"],
+            "must be ['s@2>two', 's@3>two', 'v@2', 'v@3'] where these areas meet at these buses",
+        ),
+    ],
+)
+def test_variables_that_two_areas_do_not_share_are_named(tmp_path: Path, names: list[str], problem: str):
+    found = spoilt(tmp_path / "a.json", ring_of_two(), lambda t: t["neighbour"][0].update(variables=names))
+    assert found[0] == f"neighbour[1].variables: {problem}"
+
+
+def test_a_ring_without_its_voltages_in_the_unloaded_grid_is_rejected(tmp_path: Path):
+    (problem,) = spoilt(tmp_path / "a.json", ring_of_two(), lambda t: t["exchange"].pop("no_load"))
+    assert problem == "exchange.no_load: must have the voltage of each of the buses [2, 3], where a ring passes"

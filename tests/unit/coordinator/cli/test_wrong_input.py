@@ -50,7 +50,7 @@ CASES = {
     ),
     "two areas that share a branch": (
         [(AREA1, AREA1.replace("25]", "25, 26]"))],
-        ["areas area1, area3 form a loop", "branch 6-26"],
+        ["areas area1, area3 all list both ends of branch 6-26", "leave bus 6 or 26 out"],
     ),
     "area without observability": (
         [

@@ -1,0 +1,126 @@
+"""Two areas that meet at several buses: a ring passes through both, and the areas still end where the centre does."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exact_exchange import assert_equals_centralised, assert_same_decisions, run_feeder, settle_bus
+from feeders import Feeder
+from grids import with_gross_errors
+from rings import make_ring_feeder, ring33
+from simulated_bus import SimulatedBus, area_files_of, with_links
+
+from agents.messages.packing import Incarnation, UpMessage
+from agents.protocol.choose import make_protocol
+from coordinator.strategy_check import check_with_strategy
+from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError, PowerFlowDivergedError
+from dsse_core.estimation.bad_data import process_bad_data
+from dsse_core.link_faults import LinkFaults
+from scenarios.telemetry import make_telemetry
+
+GAP = 1e-9  # p.u. and rad
+
+
+def settle_ring33(loss: float = 0.0):
+    """The simulated bus at rest, and the centralised estimate."""
+    scenario = ring33()
+    telemetry = make_telemetry(scenario)
+    files = with_links(area_files_of(scenario, strategy="information"), LinkFaults(loss=loss))
+    bus = SimulatedBus(files, telemetry.by_area)
+    settle_bus(bus)
+    return bus, process_bad_data(scenario.network, telemetry.union, tolerance=1e-12), telemetry
+
+
+def find_gap(bus, report, names=None):
+    """The largest distance of a voltage from the centralised estimate, p.u."""
+    result = report.result
+    central = result.vm * np.exp(1j * result.va)
+    row = result.network.row
+    states = [state for name, state in bus.states.items() if names is None or name in names]
+    return max(
+        abs(vm * np.exp(1j * va) - central[row[bus_id]])
+        for state in states
+        for bus_id, vm, va in zip(state.buses, state.vm, state.va, strict=True)
+    )
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+def test_two_feeders_joined_at_two_buses_end_at_the_centralised_estimate(loss):
+    bus, report, _ = settle_ring33(loss)
+    assert {state.quality for state in bus.states.values()} == {"good"}
+    assert find_gap(bus, report) < GAP
+    assert_equals_centralised(bus, report)
+    assert_same_decisions(bus, report)
+    names = {message.variables for *_, message in bus.delivered if isinstance(message, UpMessage)}
+    assert names == {("s@6>lateral", "s@18>lateral", "v@6", "v@18")}
+
+
+def draw_ring(random_seed: int, **changes) -> Feeder:
+    try:
+        feeder = make_ring_feeder(random_seed, 2 + random_seed % 5, 1 + random_seed % 3, **changes)
+    except PowerFlowDivergedError:
+        feeder = None
+    return feeder or pytest.skip("no ring in this draw")
+
+
+@pytest.mark.random_cases(few=3, many=90)
+def test_any_ring_between_an_area_and_its_parent_reaches_it(random_seed):
+    feeder = draw_ring(random_seed, decades=float(random_seed % 4))
+    if random_seed % 2:
+        feeder = with_gross_errors(np.random.default_rng(random_seed), feeder)
+    try:
+        process_bad_data(feeder.network, feeder.measurements)
+    except (EstimationDivergedError, NotObservableError):
+        pytest.skip("the centre has no estimate")
+    bus, report = run_feeder(feeder, 0.3 * (random_seed % 3 == 0), 0)
+    assert find_gap(bus, report) < GAP
+    assert_equals_centralised(bus, report)
+    assert_same_decisions(bus, report)
+
+
+@pytest.mark.random_cases(few=2, many=60)
+def test_buses_that_nothing_determines_are_named_as_in_the_centre_also_around_a_ring(random_seed):
+    feeder, rng = draw_ring(random_seed), np.random.default_rng(random_seed)
+    lost = set(rng.choice(len(feeder.measurements), len(feeder.measurements) // 5, replace=False).tolist())
+    feeder = replace(feeder, measurements=tuple(m for k, m in enumerate(feeder.measurements) if k not in lost))
+    try:
+        process_bad_data(feeder.network, feeder.measurements)
+    except EstimationDivergedError:
+        pytest.skip("the centre has no estimate")
+    except NotObservableError as error:
+        expected = set(error.buses)
+    else:
+        expected = set()
+    bus = SimulatedBus(feeder.area_files(0.0, 0), feeder.telemetry())
+    bus.run(5.0)
+    found = set()
+    for protocol in bus.protocols.values():
+        for name in protocol.outcome.totals.unobservable:
+            first, _, last = name.partition("-")
+            found |= set(range(int(first), int(last or first) + 1))
+    assert found == expected
+
+
+def test_an_area_alone_in_its_ring_says_so_and_stays_near_what_it_was():
+    """A net load has no side in a ring: each voltage and each power stands in as it was."""
+    bus, report, telemetry = settle_ring33()
+    bus.kill("lateral")
+    bus.next_scan(telemetry.by_area)
+    bus.run(20.0)
+    assert bus.states["main"].quality == "degraded"
+    assert find_gap(bus, report, ["main"]) < 0.01
+    bus.start("lateral")
+    bus.run(20.0)
+    assert {state.quality for state in bus.states.values()} == {"good"}
+    assert find_gap(bus, report) < GAP
+
+
+@pytest.mark.parametrize("strategy", ["admm", "angle-offset"])
+def test_a_strategy_that_knows_one_bus_a_boundary_refuses_a_ring(strategy):
+    scenario = replace(ring33(), strategy=strategy)
+    expected = f"areas lateral and main meet at buses 6, 18: a ring, which strategy '{strategy}' cannot take"
+    with pytest.raises(InvalidInputError, match=expected):
+        check_with_strategy(scenario)
+    for content in area_files_of(scenario, strategy=strategy):
+        with pytest.raises(InvalidInputError, match=expected):
+            make_protocol(content, Incarnation(1, 1), now=0.0, started_at=0.0)
