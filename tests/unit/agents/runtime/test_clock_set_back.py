@@ -31,6 +31,7 @@ class Bus:
     def __init__(self) -> None:
         self.published: list[tuple[str, bytes]] = []
         self.receive: dict[str, Callable[[str, bytes], None]] = {}
+        self.declarations = ()
 
     def publisher(self, key: str) -> Callable[[bytes], None]:
         return lambda payload: self.published.append((key, payload))
