@@ -73,23 +73,16 @@ class NotObservableError(DsseError):
 
 
 class EstimationDivergedError(DsseError):
-    """Gauss-Newton did not end; names the measurement with the largest weighted residual.
+    """Gauss-Newton did not end; says why, and what to do.
 
-    ``weighted_residual``: its size in units of sigma. Only where it is large can that reading be the cause.
+    ``meter``: id of the one whose reading is the cause, empty where no reading is known to be.
     """
 
-    def __init__(self, iterations: int, step: float, worst: str, weighted_residual: float) -> None:
+    def __init__(self, iterations: int, step: float, cause: str, meter: str = "") -> None:
         self.iterations = iterations
         self.step = step
-        self.worst = worst
-        self.weighted_residual = weighted_residual
-        advice = (
-            "no reading contradicts the others: look for branches of next to no impedance, sigmas many decades apart, "
-            "and current magnitudes where no flow is measured"
-            if weighted_residual < BELIEVABLE
-            else "check that meter's value, sign and unit"
-        )
+        self.cause = cause
+        self.meter = meter
         super().__init__(
-            f"state estimation did not converge in {iterations} iterations (last step {step:.3g}); the largest "
-            f"weighted residual is that of {worst}, {weighted_residual:.3g} sigma; {advice}"
+            f"state estimation did not converge in {iterations} iterations (last step {step:.3g}); {cause}"
         )

@@ -8,9 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from dsse_core.errors import EstimationDivergedError, NotObservableError
+from dsse_core.errors import NotObservableError
 from dsse_core.estimation.decision import Decision, Memory, Totals, decide, put_back
-from dsse_core.estimation.estimator import EstimationResult, estimate_with_plan, plan_scan
+from dsse_core.estimation.divergence import IterationLostError
+from dsse_core.estimation.estimator import EstimationResult, estimate_with_plan, iterate_with_plan, plan_scan
 from dsse_core.estimation.plan import BackendChoice, EstimationPlan
 from dsse_core.estimation.residuals import (
     CONFIDENCE,
@@ -154,7 +155,7 @@ def process_bad_data_with_plan(
         row = [meter.id for meter in result.plan.meters].index(memory.removed[-1])
         try:
             following = _estimate_without([row], result, start, tolerance, memory)
-        except EstimationDivergedError:
+        except IterationLostError:
             result = _estimate_without([], result, start, tolerance, put_back(memory))
             break
         normalized = float(normalized_residuals(result)[row])
@@ -191,7 +192,7 @@ def _estimate_without(
 ) -> EstimationResult:
     plan = result.plan.without(rows) if rows else result.plan
     readings = np.delete(result.values, rows), np.delete(result.sigmas, rows)
-    return estimate_with_plan(plan, *readings, start=start, tolerance=tolerance, memory=memory)
+    return iterate_with_plan(plan, *readings, start=start, tolerance=tolerance, memory=memory)
 
 
 def _totals_of(result: EstimationResult, threshold: float) -> Totals:

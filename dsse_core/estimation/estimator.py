@@ -11,6 +11,7 @@ import scipy.sparse as sp
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.decision import Memory
+from dsse_core.estimation.divergence import IterationLostError, explain_divergence
 from dsse_core.estimation.plan import Backend, BackendChoice, EstimationPlan, build_estimation_plan
 from dsse_core.estimation.radial import RadialInverse, estimate_radial, find_radial_variances, invert_radial
 from dsse_core.estimation.sparse import estimate_sparse
@@ -151,7 +152,7 @@ def estimate_state(
     Raises:
         InvalidInputError: measurements that do not fit the network, or a back end that cannot serve.
         NotObservableError: names the buses that are not determined.
-        EstimationDivergedError: names the measurement with the largest weighted residual.
+        EstimationDivergedError: says why there is no end.
     """
     plan, values, sigmas = plan_scan(network, measurements, reference=reference, backend=backend)
     return estimate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance)
@@ -195,7 +196,30 @@ def estimate_with_plan(
 
     Raises:
         InvalidInputError: readings that cannot be, a start that does not fit, or no thread.
-        EstimationDivergedError: names the measurement with the largest weighted residual.
+        EstimationDivergedError: says why there is no end, see ``explain_divergence``.
+    """
+    values, sigmas = np.array(read_numbers("values", values)), np.array(read_numbers("sigmas", sigmas))
+    try:
+        return iterate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance, memory=memory, threads=threads)
+    except IterationLostError as lost:
+        raise explain_divergence(plan, values, sigmas, lost, iterate_with_plan) from None
+
+
+def iterate_with_plan(
+    plan: EstimationPlan,
+    values: np.ndarray,
+    sigmas: np.ndarray,
+    *,
+    start: tuple[np.ndarray, np.ndarray] | None = None,
+    tolerance: float = LAST_STEP,
+    memory: Memory = NO_MEMORY,
+    threads: int = 1,
+) -> EstimationResult:
+    """``estimate_with_plan`` for a caller that goes on without an estimate, and need not know why there is none.
+
+    Raises:
+        InvalidInputError: as there.
+        IterationLostError: there is no end.
     """
     values, sigmas = np.array(read_numbers("values", values)), np.array(read_numbers("sigmas", sigmas))
     if not values.shape == sigmas.shape == (len(plan.meters),):

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dsse_core.errors import EstimationDivergedError
 from dsse_core.estimation.decision import Memory, begin_at_flat_start, most_steps
+from dsse_core.estimation.divergence import IterationLostError
 from dsse_core.estimation.radial_threads import estimate_on_threads
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
 from dsse_core.gauss_newton import EVALUATE, LOST, Solution
@@ -35,7 +35,7 @@ def estimate_radial(
 
     Raises:
         InvalidInputError: readings that cannot be.
-        EstimationDivergedError: names the measurement with the largest weighted residual.
+        IterationLostError: there is no end.
     """
     compiled, n = _load_compiled(), len(plan.order)
     state, residual, space = np.empty((2, n)), np.empty(len(values)), plan.take_space()
@@ -60,9 +60,7 @@ def estimate_radial(
         memory = begin_at_flat_start(memory)
     plan.spaces.append(space)
     if end == LOST:
-        weighted = abs(residual) / np.where(sigmas > 0, sigmas, np.inf)
-        worst = int(np.argmax(weighted))
-        raise EstimationDivergedError(steps, step, str(plan.meters[worst]), float(weighted[worst]))
+        raise IterationLostError(steps, step, abs(residual) / np.where(sigmas > 0, sigmas, np.inf))
     if end == EVALUATE and not memory.kept:
         memory = replace(memory, evaluating=True)
     return memory, (state[0], state[1], residual, objective, steps)

@@ -11,8 +11,8 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from dsse_core.errors import EstimationDivergedError
 from dsse_core.estimation.decision import Decision, Memory, Totals, Verdict, begin_at_flat_start, decide
+from dsse_core.estimation.divergence import IterationLostError
 from dsse_core.gauss_newton import LARGEST_STEP, Solution
 from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.measurement import MeasurementKind, Meter
@@ -124,7 +124,7 @@ def estimate_sparse(
     """Gauss-Newton until it is final or to be evaluated; ``sigmas`` (n_meas,) are 0 where a reading holds exactly.
 
     Raises:
-        EstimationDivergedError: names the measurement with the largest weighted residual.
+        IterationLostError: there is no end.
     """
     grid, removed = SparseIteration(plan, values, sigmas, start, from_flat_start=memory.from_flat_start), memory.removed
     while True:
@@ -261,11 +261,7 @@ class SparseIteration:
         r = self._plan.model.subtract(self._values, self._plan.predict(self.x))
         return vm, va, r, self._find_objective(r), self._steps
 
-    def diverged(self) -> EstimationDivergedError:
-        """The error that names the measurement with the largest weighted residual."""
+    def diverged(self) -> IterationLostError:
+        """The error for an iteration that has stopped here."""
         r = self._plan.model.subtract(self._values, self._plan.predict(self._before))
-        weighted = abs(r) * self._weight
-        worst = int(np.argmax(weighted))
-        return EstimationDivergedError(
-            self._steps, max(self._size), str(self._plan.meters[worst]), float(weighted[worst])
-        )
+        return IterationLostError(self._steps, max(self._size), abs(r) * self._weight)

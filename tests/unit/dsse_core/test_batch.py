@@ -289,11 +289,11 @@ def test_feeders_on_threads_give_the_estimate_of_one_thread(random_seed, threads
 
 
 def outcome_of(plan, values, sigmas, threads):
-    """The estimate, or the beginning of what is raised."""
+    """The estimate, or the meter that what is raised names."""
     try:
         return estimate_with_plan(plan, values, sigmas, threads=threads)
     except EstimationDivergedError as error:
-        return error.worst
+        return error.meter
 
 
 def test_readings_that_cannot_be_are_named_on_threads_too(case):

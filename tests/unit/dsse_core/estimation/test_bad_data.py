@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.special import gammainc
 
-from dsse_core.errors import EstimationDivergedError, NotObservableError
+from dsse_core.errors import NotObservableError
 from dsse_core.estimation.bad_data import find_critical, normalized_residuals
-from dsse_core.estimation.estimator import estimate_with_plan
+from dsse_core.estimation.divergence import IterationLostError
+from dsse_core.estimation.estimator import iterate_with_plan
 from dsse_core.estimation.residuals import chi_square_limit, keep_tied
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Control, Generator
@@ -187,10 +188,10 @@ def test_where_a_removal_makes_the_estimation_diverge_the_last_good_estimate_sta
 
     def diverge_after_a_removal(plan, values, sigmas, **options):
         if len(values) < len(wrong):
-            raise EstimationDivergedError(50, 1.0, "vm@2", 30.0)
-        return estimate_with_plan(plan, values, sigmas, **options)
+            raise IterationLostError(50, 1.0, np.zeros(len(values)))
+        return iterate_with_plan(plan, values, sigmas, **options)
 
-    monkeypatch.setattr("dsse_core.estimation.bad_data.estimate_with_plan", diverge_after_a_removal)
+    monkeypatch.setattr("dsse_core.estimation.bad_data.iterate_with_plan", diverge_after_a_removal)
     report = process(network, wrong)
     assert report.detected
     assert report.removed == ()

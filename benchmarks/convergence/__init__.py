@@ -1,0 +1,1 @@
+"""``python -m benchmarks.convergence``: on how many public cases power flow and estimate converge."""

@@ -1,0 +1,129 @@
+"""Why an iteration without end has none: what is found by estimating once more without what may be the cause.
+
+Where the iteration has stopped the state is no estimate, so that residuals there accuse any meter. A meter is named
+only if the others have an estimate, agree on it, and its reading lies far from it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from dsse_core.errors import BELIEVABLE, EstimationDivergedError, InvalidInputError, NotObservableError
+from dsse_core.estimation.decision import Memory
+from dsse_core.estimation.residuals import THRESHOLD
+from dsse_core.gauss_newton import MAX_DVA, MAX_DVM, Solution
+from dsse_core.grid.admittance import build_admittance, flat_start
+from dsse_core.grid.measurement import MeasurementKind
+from dsse_core.grid.measurement_model import build_measurement_model
+from dsse_core.grid.meter_table import KINDS, number_kinds
+
+if TYPE_CHECKING:
+    from dsse_core.estimation.estimator import EstimationResult
+    from dsse_core.estimation.plan import EstimationPlan
+
+MOST_SUSPECTS = 3  # without each of which it is estimated once more
+
+
+class Estimate(Protocol):
+    """``iterate_with_plan``."""
+
+    def __call__(
+        self, plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, *, memory: Memory
+    ) -> EstimationResult: ...
+
+
+class IterationLostError(Exception):
+    """The iteration has no end. ``weighted``: |r| / sigma of all meters where it has stopped, (n_meas,)."""
+
+    def __init__(self, iterations: int, step: float, weighted: np.ndarray) -> None:
+        super().__init__(f"no end after {iterations} iterations")
+        self.iterations, self.step, self.weighted = iterations, step, weighted
+
+
+def explain_divergence(
+    plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, lost: IterationLostError, estimate: Estimate
+) -> EstimationDivergedError:
+    """The error for the readings ``values`` with ``sigmas``, (n_meas,), of which ``estimate`` has ``lost`` its way."""
+    sigmas = np.where(plan.virtual, 0.0, sigmas)
+    for row in _find_suspects(plan, lost.weighted):
+        rest = _estimate_without(plan, values, sigmas, [row], estimate)
+        if rest is None or rest.memory.evaluating:
+            continue
+        distance = _find_distance(rest, plan, row, float(values[row]), float(sigmas[row]))
+        if distance > BELIEVABLE:
+            cause = (
+                f"without {plan.meters[row]} it does, and that reading lies {distance:.3g} standard deviations from "
+                "what the others say; check that meter's value, sign and unit"
+            )
+            return EstimationDivergedError(lost.iterations, lost.step, cause, plan.meters[row].id)
+    return EstimationDivergedError(lost.iterations, lost.step, _find_cause(plan, values, sigmas, estimate))
+
+
+def _find_suspects(plan: EstimationPlan, weighted: np.ndarray) -> list[int]:
+    """Rows of the meters farthest from the state at the end, the farthest first."""
+    size = np.where(plan.virtual | ~np.isfinite(weighted), 0.0, weighted)
+    farthest = np.argsort(-size, kind="stable")[:MOST_SUSPECTS]
+    return [int(row) for row in farthest if size[row] > BELIEVABLE]
+
+
+def _estimate_without(
+    plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, rows: list[int], estimate: Estimate
+) -> EstimationResult | None:
+    """The estimate from the flat start without the meters at ``rows``, if there is one."""
+    try:
+        without = plan.without(rows)
+        anew = Memory(from_flat_start=True)
+        return estimate(without, np.delete(values, rows), np.delete(sigmas, rows), memory=anew)
+    except (IterationLostError, NotObservableError, InvalidInputError):
+        return None
+
+
+def _find_distance(rest: EstimationResult, plan: EstimationPlan, row: int, value: float, sigma: float) -> float:
+    """|z - h(x)| / sqrt(sigma^2 + H P H') of a meter that is not in the estimate ``rest`` with covariance P."""
+    model = build_measurement_model(plan.network, build_admittance(plan.network), [plan.meters[row]])
+    x = np.concatenate([rest.va, rest.vm])
+    H = model.jacobian(x)[:, rest.free].toarray().T
+    variance = float((H.T @ rest.factor.covariance_times(H))[0, 0])
+    error = float(model.subtract(np.array([value]), model.predict(x))[0])
+    return abs(error) / float(np.hypot(sigma, np.sqrt(max(variance, 0.0))))
+
+
+def _find_cause(plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, estimate: Estimate) -> str:
+    """What keeps the iteration from its end where no single reading does."""
+    currents = np.flatnonzero(number_kinds(plan.meters) == KINDS.index(MeasurementKind.CURRENT)).tolist()
+    if currents and _estimate_without(plan, values, sigmas, currents, estimate) is not None:
+        return (
+            f"without its {len(currents)} current magnitudes it does: they do not say where to these currents flow; "
+            "meter P and Q there, or leave the meters of currents out"
+        )
+    if weakest := _find_weakest(plan.without(currents) if currents else plan, np.delete(sigmas, currents)):
+        return weakest
+    known = sigmas[sigmas > 0]
+    spread = f", from {known.min():.2g} to {known.max():.2g} p.u. or rad here" if len(known) else ""
+    return (
+        "no single reading is the cause: look for several wrong readings, for branches of next to no impedance, and "
+        f"for standard deviations many decades apart{spread}"
+    )
+
+
+def _find_weakest(plan: EstimationPlan, sigmas: np.ndarray) -> str:
+    """That noise alone moves a voltage farther than a step may be long, at the flat start; empty if it moves none."""
+    from dsse_core.estimation.estimator import EstimationResult
+
+    vm, va = flat_start(plan.network, plan.reference)
+    nothing: Solution = vm, va, np.zeros(len(sigmas)), 0.0, 0
+    try:
+        found = EstimationResult(plan, np.zeros(len(sigmas)), sigmas, Memory(), *nothing).state_sigma()
+    except RuntimeError:  # SuperLU: singular by rounding
+        return ""
+    of_kinds = zip(("magnitude", "angle"), found, (MAX_DVM, MAX_DVA), ("p.u.", "rad"), strict=True)
+    for name, deviation, longest, unit in of_kinds:
+        row = int(np.argmax(np.nan_to_num(deviation)))
+        if THRESHOLD * deviation[row] > longest:
+            return (
+                f"the readings hardly determine the {name} at bus {plan.network.buses[row].id}: its standard deviation "
+                f"is {deviation[row]:.2g} {unit}; add a voltmeter there, or power meters around it"
+            )
+    return ""
