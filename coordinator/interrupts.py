@@ -15,7 +15,11 @@ if TYPE_CHECKING:
     from typing import NoReturn
 
 SIGINT = (signal.SIGINT,)
-ENDS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+_ASKED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGPWR", "SIGPOLL", "SIGSTKFLT")
+_TIME_IS_UP = ("SIGALRM", "SIGVTALRM", "SIGPROF", "SIGXCPU")
+_REAL_TIME = range(getattr(signal, "SIGRTMIN", 0), getattr(signal, "SIGRTMAX", -1) + 1)
+ENDS = (*(getattr(signal, name) for name in (*_ASKED, *_TIME_IS_UP) if hasattr(signal, name)), *_REAL_TIME)
+"""All signals that end a process by default, but for SIGKILL and those that stand for a defect of it."""
 INTERRUPTED_CODE = 1
 _state: dict[str, int | None] = {"is_command": False, "decided": None, "held": False, "came": False}
 
@@ -45,7 +49,7 @@ def raise_interrupts() -> None:
 
 
 def end_orderly_on_signals() -> None:
-    """Let SIGTERM and SIGHUP do what Ctrl-C does."""
+    """Let every signal of ENDS do what Ctrl-C does: by default it would end the command and leave its processes."""
     _set(ENDS, _interrupt)
 
 
@@ -60,7 +64,7 @@ def ignore() -> None:
     _set(ENDS, signal.SIG_IGN)
 
 
-def _set(numbers: tuple[signal.Signals, ...], handler: object) -> None:
+def _set(numbers: tuple[int, ...], handler: object) -> None:
     for number in numbers:
         if _state["is_command"] and signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
             signal.signal(number, handler)  # type: ignore[arg-type]

@@ -128,6 +128,14 @@ def unblock(numbers: Iterable[int]) -> None:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, numbers)
 
 
+def name_signal(number: int) -> str:
+    """Name of a signal; of a real-time signal, which has none, its number."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return str(number)
+
+
 def signal_thread(thread: int, number: int) -> None:
     """Send a signal to a thread of this process; to the process where threads get none."""
     if hasattr(signal, "pthread_kill"):

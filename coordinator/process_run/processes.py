@@ -7,7 +7,6 @@ import os
 import pickle
 import queue
 import secrets
-import signal
 import subprocess
 import sys
 import threading
@@ -193,7 +192,7 @@ def describe_end(code: int) -> str:
     """How a process ended, in words."""
     if code == IO_ERROR_CODE:
         return f"exit code {code}, as a file could not be written or read; is the disk full?"
-    return f"exit code {code}" if code >= 0 else f"signal {signal.Signals(-code).name}"
+    return f"exit code {code}" if code >= 0 else f"signal {operating_system.name_signal(-code)}"
 
 
 def read_end(log: Path, lines: int = 24, width: int = 160) -> str:

@@ -16,7 +16,8 @@ from dsse_command import COMMAND, ENVIRONMENT
 from forked import end_parent, parent
 from waiting import DEADLINE_S, is_gone, wait_until
 
-signal.signal(signal.SIGHUP, signal.SIG_DFL)  # what nohup and background jobs ignore, commands would ignore, too
+for number in (signal.SIGHUP, signal.SIGQUIT):  # what nohup and background jobs ignore, commands would ignore, too
+    signal.signal(number, signal.SIG_DFL)
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 

@@ -21,13 +21,24 @@ from agents.messages.keys import all_states
 from agents.messages.packing import decode
 from agents.runtime.inbox import Inbox
 from agents.transport.zenoh_bus import Session
+from coordinator.interrupts import ENDS
 from coordinator.observe.progress import Progress
 from coordinator.process_run.compile_clock import clock
+from dsse_core.operating_system import name_signal
+
+FEW = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGRTMIN + 1)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Some of the signals that end a command, with --thorough all; to the parent of all, two are orders to children."""
+    if "number" in metafunc.fixturenames:
+        orders = (signal.SIGUSR1, signal.SIGUSR2) if "parent" in metafunc.function.__name__ else ()
+        numbers = ENDS if metafunc.config.getoption("--thorough") else FEW
+        metafunc.parametrize("number", [number for number in numbers if number not in orders], ids=name_signal)
+
+
 def test_a_signal_to_the_terminals_process_group_stops_everything(
-    start_run, deaf_scenario, assert_nothing_left, number: signal.Signals
+    start_run, deaf_scenario, assert_nothing_left, number: int
 ):
     run = start_run(deaf_scenario)
     run.wait_until_joined("area1", "area2")
@@ -113,16 +124,15 @@ def test_stop_ends_a_parent_that_is_frozen(start_run, dsse, deaf_scenario, asser
     assert_nothing_left(run.pids())
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_to_the_parent_stops_all_in_order_and_shows_no_traceback(
-    start_run, deaf_scenario, assert_nothing_left, number: signal.Signals
+    start_run, deaf_scenario, assert_nothing_left, number: int
 ):
     run = start_run(deaf_scenario)
     run.wait_until_joined("area1", "area2")
     os.kill(run.pids()["parent"], number)
     code, out, err = run.end()
     assert code == 1
-    assert f"parent of all processes died with signal {number.name}" in out
+    assert f"parent of all processes died with signal {name_signal(number)}" in out
     assert "Traceback" not in out + err
     assert_nothing_left(run.pids())
     assert "ends: SIGTERM" in (run.folder / "logs" / "area1.log").read_text()
