@@ -129,7 +129,7 @@ class RoundsState:
             except FAILURES as error:
                 estimation.fail(error)
         findings = [*self._findings_of(outcome)]
-        if estimation.failure:
+        if estimation.failure and outcome.verdict.reason != NOT_OBSERVABLE:
             findings.insert(0, Finding(NONE, f"no estimate: {estimation.failure}", "no estimate"))
         if estimate is not None:
             findings += self._limits.find_breaches(estimate)

@@ -246,14 +246,18 @@ class AreaEstimation:
     def totals(self) -> Totals:
         """The area's own part at x_k."""
         name, model, n = self.area.name, self.model, self._n
+        size = abs(self._step)
+        sizes = find_objective(model, self.x), float(size[:n].max()), float(size[n : 2 * n].max())
+        if not are_within_reason([self.area.n_areas * number for number in sizes]):  # the sum would be rejected by all
+            self.fail(ArithmeticError("the state is beyond reason"))
         numbers: dict[str, Any] = {"failed": (name,)}
         if not self.failure:
-            size = abs(self._step)
+            objective, dva, dvm = sizes
             numbers = {
-                "objective": find_objective(model, self.x),
+                "objective": objective,
                 "degrees_of_freedom": count_freedom(model),
-                "dva": float(size[:n].max()),
-                "dvm": float(size[n : 2 * n].max()),
+                "dva": dva,
+                "dvm": dvm,
                 "held_back": 0 if self._uses_currents else self._n_current,
                 "worst": self._worst,
                 "tied": self._tied,
