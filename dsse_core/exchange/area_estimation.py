@@ -29,6 +29,7 @@ from dsse_core.grid.partition import Area
 from dsse_core.linear import choose_backend
 from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BoundaryInformation, are_within_reason
+from dsse_core.linear.contributions import VoltageReadings
 
 AGED = 0.1  # of the weight of what a neighbour that is no longer received has last sent; its sigmas grow tenfold
 FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError, DsseError)  # of absurd numbers
@@ -162,13 +163,14 @@ class AreaEstimation:
         without = [m for m in with_currents if m.meter.kind is not MeasurementKind.CURRENT]
         self._n_current = len(with_currents) - len(without)
         in_use = with_currents if self._uses_currents else without
-        prior = self._start if self._silent or self._is_blank else None
+        as_before = self._silent or self._is_blank
+        further = (VoltageReadings(self._start[: 2 * self._n]),) if as_before else ()
         meters = tuple(m.meter for m in in_use)
         former = self._model
         if former is not None and former.meters == meters:
-            self._model = former.with_readings(in_use, prior)
+            self._model = former.with_readings(in_use, further)
         else:
-            self._model = replace(build_area_model(self.area, in_use, self._reference), prior=prior)
+            self._model = replace(build_area_model(self.area, in_use, self._reference), further=further)
         if former is not None:
             former.end()
         if self.is_first:

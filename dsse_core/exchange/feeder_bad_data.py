@@ -31,8 +31,8 @@ NOTHING_KNOWN = 1e12
 
 def find_objective(model: AreaModel, x: np.ndarray) -> float:
     """J of the area's own measurements; virtual ones do not count."""
-    weighted = np.where(model.virtual, 0.0, model.residual(x) / model.sigma)
-    return float(weighted @ weighted)
+    own = model.contribution(model.predict(x))
+    return float(model.real_part(own.weight) @ own.residual**2)
 
 
 def count_freedom(model: AreaModel) -> int:

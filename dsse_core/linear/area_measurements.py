@@ -13,6 +13,7 @@ from dsse_core.grid.boundary import Boundary, Kind, Variable
 from dsse_core.grid.measurement import MeasurementKind, Meter, Source
 from dsse_core.grid.measurement_model import MeasurementModel
 from dsse_core.grid.partition import Area, Neighbour
+from dsse_core.linear.contributions import Contribution, FurtherRows, Method, least_squares
 
 Backend = Literal["auto", "radial", "sparse", "dense"]
 
@@ -22,8 +23,8 @@ class AreaMeasurements:
     """The measurements of one area as functions of ``x = [va; vm; p_1, q_1, p_2, q_2, ...]``: powers into children.
 
     ``free``: the variables that are unknown, all but a reference angle. ``backend``: see ``linear.choose_backend``.
-    ``prior``: a state, shape (size,), whose voltages count as measured with PRIOR_SIGMA, where neighbours or readings
-    are missing.
+    ``method``: the weights that follow from residuals and sigmas. ``further``: rows beside those of the meters, such
+    as voltages that count as read where neighbours or readings are missing.
     """
 
     area: Area
@@ -36,7 +37,8 @@ class AreaMeasurements:
     meters: tuple[Meter, ...]
     reference: int | None
     backend: Backend = "auto"
-    prior: np.ndarray | None = None
+    method: Method = least_squares
+    further: tuple[FurtherRows, ...] = ()
 
     @cached_property
     def virtual(self) -> np.ndarray:
@@ -63,9 +65,9 @@ class AreaMeasurements:
         return 2 * self._n + int(self.into_children.shape[1])
 
     @property
-    def n_own_rows(self) -> int:
-        """Rows of the measurements and of the prior."""
-        return len(self.z) + (0 if self.prior is None else 2 * self._n)
+    def couples_many(self) -> bool:
+        """Whether a further row reads many buses."""
+        return any(rows.couples_many for rows in self.further)
 
     @property
     def _n(self) -> int:
@@ -99,6 +101,10 @@ class AreaMeasurements:
     def residual_of(self, h: np.ndarray) -> np.ndarray:
         """z - h, shape (n_meas,); angles wrapped to (-pi, pi]."""
         return self.model.subtract(self.z, h)
+
+    def contribution(self, h: np.ndarray) -> Contribution:
+        """What the measurements contribute where h(x) is ``h``, (n_meas,)."""
+        return self.method(self.residual_of(h), self.sigma)
 
     def boundary_of(self, neighbour: Neighbour) -> Boundary:
         """The variables y that ``neighbour`` and the area share."""

@@ -17,6 +17,7 @@ from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear import Backend, LinearArea, Matrix, Rows, make_linear, make_rows
 from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import EXACT_SIGMA
+from dsse_core.linear.contributions import FurtherRows
 
 INJECTION = {Kind.P: MeasurementKind.P_INJECTION, Kind.Q: MeasurementKind.Q_INJECTION}
 
@@ -34,13 +35,15 @@ class AreaModel(AreaMeasurements):
         """What computes steps, variances and information of boundaries."""
         return make_linear(self, self.rows)
 
-    def with_readings(self, measurements: Sequence[Measurement], prior: np.ndarray | None = None) -> AreaModel:
-        """The same meters, read anew, beside a ``prior`` or none: what rests on topology and meters is kept."""
+    def with_readings(self, measurements: Sequence[Measurement], further: tuple[FurtherRows, ...] = ()) -> AreaModel:
+        """The same meters, read anew, beside ``further`` rows: what rests on topology and meters is kept."""
         other = copy.copy(self)  # with all that is cached
         sigma = _sigmas_of(measurements)
         sigma = self.sigma if (sigma == self.sigma).all() else sigma
-        other.__dict__.update(z=_values_of(measurements), sigma=sigma, prior=prior)
-        if (linear := self.__dict__.get("linear")) is not None:
+        other.__dict__.update(z=_values_of(measurements), sigma=sigma, further=further)
+        if other.couples_many != self.couples_many:
+            other.end()
+        if (linear := other.__dict__.get("linear")) is not None:
             other.__dict__.update(linear=linear.with_readings(other))
         return other
 

@@ -37,11 +37,17 @@ def needs_compiled_code(area: Area) -> bool:
 
 
 def make_rows(model: AreaMeasurements) -> Rows:
-    return DenseRows(model) if choose_backend(model.area, model.backend) == "dense" else SparseRows(model)
+    is_dense = model.couples_many or choose_backend(model.area, model.backend) == "dense"
+    return DenseRows(model) if is_dense else SparseRows(model)
 
 
 def make_linear(model: AreaMeasurements, rows: Rows) -> LinearArea:
-    """The numerics of ``model`` with its ``rows``: compiled where its area and meters allow, else by rows."""
+    """The numerics of ``model`` with its ``rows``: compiled where its area and meters allow, else by rows.
+
+    Where further rows couple many buses, by dense ones.
+    """
+    if model.couples_many:
+        return ReducedSolver(model, rows, "dense, as further rows couple many buses")
     chosen = choose_backend(model.area, model.backend)
     if chosen == "dense":
         return ReducedSolver(model, rows, chosen)

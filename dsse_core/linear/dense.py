@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import cast
 
 import numpy as np
+import scipy.sparse as sp
 
 from dsse_core.grid.measurement_model import stack_models
 from dsse_core.grid.partition import Neighbour
@@ -62,8 +63,8 @@ class DenseRows(Rows):
         found = [(*received[n.area].rows, *self.boundary(x, n)) for n in self._neighbours if n.area in received]
         return [R @ T for R, _, _, T in found], [z - R @ y for R, z, y, _ in found]
 
-    def voltages(self) -> np.ndarray:
-        return np.eye(2 * self._n, self._H.shape[1])
+    def take(self, H: sp.csr_array) -> np.ndarray:
+        return np.asarray(H.toarray())
 
     def join(self, parts: list[Matrix]) -> np.ndarray:
         return np.concatenate(parts)

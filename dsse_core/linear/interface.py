@@ -75,8 +75,8 @@ class Rows(ABC):
         """Rows R T and residuals z - R y of what neighbours have sent, each of variance 1, in the area's order."""
 
     @abstractmethod
-    def voltages(self) -> Matrix:
-        """A row for each voltage, angles first, which reads it."""
+    def take(self, H: sp.csr_array) -> Matrix:
+        """Further rows, as a matrix of this kind."""
 
     @abstractmethod
     def join(self, parts: list[Matrix]) -> Matrix:

@@ -26,8 +26,9 @@ from dsse_core.linear.boundary_information import (
     factor_inverse,
     put_together,
 )
+from dsse_core.linear.contributions import VoltageReadings, least_squares
 from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, LinearArea, Received
-from dsse_core.linear.rows import PRIOR_SIGMA
+from dsse_core.linear.rows import TableauSolver
 from dsse_core.radial.plan import (
     N_SLOT,
     N_VOLTAGE_SLOT,
@@ -63,6 +64,7 @@ class _Rooted:
     slot: np.ndarray
     z: np.ndarray
     w: np.ndarray
+    variance: np.ndarray  # of the meters
     at: np.ndarray
     work: Work
     v: np.ndarray
@@ -78,7 +80,7 @@ class RadialSolver(LinearArea):
 
     name = "radial"
 
-    def __init__(self, model: AreaMeasurements, by_rows: LinearArea) -> None:
+    def __init__(self, model: AreaMeasurements, by_rows: TableauSolver) -> None:
         self.declined = Counter()
         self._model, self._by_rows = model, by_rows
         self._area, self._reference = model.area, model.reference
@@ -117,7 +119,7 @@ class RadialSolver(LinearArea):
         """``damping``: of voltages and of powers."""
         from dsse_core.radial.boundary import step_downward
 
-        t = self._rooted.get(self._top) or self._root_at(self._top)
+        t = self._tree_from(self._top, x)
         if not self._pass(t, x, received, damping, 0.0):
             return None
         dx = np.empty(self._model.size)
@@ -131,7 +133,7 @@ class RadialSolver(LinearArea):
     ) -> tuple[np.ndarray, np.ndarray] | None:
         from dsse_core.radial.boundary import variances_downward
 
-        t = self._rooted.get(self._top) or self._root_at(self._top)
+        t = self._tree_from(self._top, x)
         if not self._pass(t, x, received, damping, 0.0):
             return None
         variance = np.empty(self._model.size)
@@ -139,7 +141,7 @@ class RadialSolver(LinearArea):
         if not enough:
             self._decline("a variance lost in that of a power")
             return None
-        return variance, self._model.real_part(omega.ravel()[t.slot] + self._variance_beside_prior(t))
+        return variance, self._model.real_part(omega.ravel()[t.slot] + self._variance_beside_further(t))
 
     def _downward(
         self, compiled: Callable[..., Any], t: _Rooted, one: np.ndarray, other: np.ndarray, found: np.ndarray
@@ -154,7 +156,7 @@ class RadialSolver(LinearArea):
         from dsse_core.radial import root as radial_root
 
         angle_given, is_away = self._reference == neighbour.bus, self._reference not in (None, neighbour.bus)
-        t = self._rooted.get(neighbour.bus) or self._root_at(neighbour.bus)
+        t = self._tree_from(neighbour.bus, x)
         if is_away:
             i = self._row_of_reference(t)
             t.z[i, 0], t.w[i, 0] = x[t.layout.order[i]], ANGLE_HELD
@@ -256,6 +258,13 @@ class RadialSolver(LinearArea):
     def _decline(self, why: str) -> None:
         self.declined[why] += 1
 
+    def _tree_from(self, bus: int, x: np.ndarray) -> _Rooted:
+        """With what the meters contribute at ``x``; that of least squares is the same everywhere."""
+        t = self._rooted.get(bus) or self._root_at(bus)
+        if self._model.method is not least_squares:
+            self._rooted[bus] = t = self._read_into(t, self._by_rows.rows.predict(x))
+        return t
+
     def _root_at(self, bus: int) -> _Rooted:
         from dsse_core.radial import kernel as radial_kernel
         from dsse_core.radial.boundary import N_MESSAGE
@@ -270,6 +279,7 @@ class RadialSolver(LinearArea):
             slot=find_slots(network, self._model.meters, layout),
             z=np.zeros((n, N_SLOT)),
             w=radial_kernel.absent(n),
+            variance=self._model.sigma**2.0,
             at=np.array([layout.number[network.row[n.bus]] for n in neighbours], dtype=np.int64),
             work=radial_kernel.Work.of(n),
             v=np.empty(n, dtype=complex),
@@ -282,34 +292,32 @@ class RadialSolver(LinearArea):
         self._rooted[bus] = rooted = self._read_into(rooted)
         return rooted
 
-    def _read_into(self, t: _Rooted) -> _Rooted:
-        """``t`` with the readings, and with the prior, which is one more reading of each voltage.
+    def _read_into(self, t: _Rooted, h: np.ndarray | None = None) -> _Rooted:
+        """``t`` with what the meters contribute where h(x) is ``h``, by default as read, and with further readings.
 
         Two readings of one voltage are one of their joint weight.
         """
-        z, w = t.z.copy(), t.w.copy()
-        of_injection = np.isin(t.slot % N_SLOT, (2, 3))
+        z, w, model = t.z.copy(), t.w.copy(), self._model
+        own, of_injection = model.contribution(model.z if h is None else h), np.isin(t.slot % N_SLOT, (2, 3))
         w[:, :N_VOLTAGE_SLOT] = 0.0
-        z.ravel()[t.slot] = self._model.z
-        sigma = self._model.sigma
-        w.ravel()[t.slot] = np.where(of_injection, sigma**2.0, sigma**-2.0)
-        if (prior := self._model.prior) is not None:
-            n, order = len(t.layout.order), t.layout.order
-            expected = np.stack([prior[order], prior[n + order]], axis=1)
-            own = w[:, :N_VOLTAGE_SLOT]
-            joint = own + PRIOR_SIGMA**-2
-            misfit = z[:, :N_VOLTAGE_SLOT] - expected
+        z.ravel()[t.slot] = model.z + own.shift
+        w.ravel()[t.slot] = np.where(of_injection, 1 / own.weight, own.weight)
+        for further in model.further:
+            assert isinstance(further, VoltageReadings)  # others are dense, see ``choose``
+            read, of_read = np.stack(np.split(further.z, 2))[:, t.layout.order].T, further.sigma**-2.0
+            joint = w[:, :N_VOLTAGE_SLOT] + of_read
+            misfit = z[:, :N_VOLTAGE_SLOT] - read
             misfit[:, 0] = np.pi - (np.pi - misfit[:, 0]) % (2 * np.pi)
-            z[:, :N_VOLTAGE_SLOT] = expected + own / joint * misfit
+            z[:, :N_VOLTAGE_SLOT] = read + w[:, :N_VOLTAGE_SLOT] / joint * misfit
             w[:, :N_VOLTAGE_SLOT] = joint
-        return replace(t, z=z, w=w)
+        return replace(t, z=z, w=w, variance=1 / own.weight)
 
-    def _variance_beside_prior(self, t: _Rooted) -> np.ndarray:
-        """sigma^2 of each meter less the variance of the reading that it and the prior are together, (n_meas,)."""
-        if self._model.prior is None:
+    def _variance_beside_further(self, t: _Rooted) -> np.ndarray:
+        """R of each meter less the variance of the one reading that it and further ones are, (n_meas,)."""
+        if not self._model.further:
             return np.zeros(len(t.slot))
-        share = PRIOR_SIGMA**-2 / t.w.ravel()[t.slot]
-        return np.where(t.slot % N_SLOT < N_VOLTAGE_SLOT, self._model.sigma**2.0 * share, 0.0)
+        share = 1 - 1 / (t.variance * t.w.ravel()[t.slot])
+        return np.where(t.slot % N_SLOT < N_VOLTAGE_SLOT, t.variance * share, 0.0)
 
 
 def _with_own_balance(

@@ -27,6 +27,7 @@ from dsse_core.grid.boundary import Boundary, Kind
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import EXACT_SIGMA, TIED_SIGMA, BoundaryInformation
+from dsse_core.linear.contributions import least_squares
 from dsse_core.linear.interface import NOT_YET, Received, Rows
 from dsse_core.linear.rows import RowSolver, shift_of_own_rows
 
@@ -139,7 +140,8 @@ class ReducedSolver(RowSolver):
         F[:, n:] += order.shift(x, *of_y[-2:])
         left = within.turn_back(last.turn_back(np.eye(len(rows) - k, order="F"))[: len(within.rows)])
         of_meters = left[: len(self.model.z)]
-        return np.vecdot(F, F), self.model.real_part(self.model.sigma**2 * np.vecdot(of_meters, of_meters))
+        R = 1 / self.model.contribution(self.rows.predict(x)).weight
+        return np.vecdot(F, F), self.model.real_part(R * np.vecdot(of_meters, of_meters))
 
     def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
         reduced, (columns, places) = self._reduce(x), self._order.towards[neighbour.area]
@@ -174,19 +176,22 @@ class ReducedSolver(RowSolver):
         return np.concatenate(parts) if len(parts) > 1 else parts[0]
 
     def _reduce(self, x: np.ndarray) -> _Reduced:
-        """Found once for a state: for its voltages, which no message changes, then for the powers of children."""
+        """Found once for a state: for its voltages, which no message changes, then for the powers of children, in which
+        rows are linear if their weights follow from no residual.
+        """
         if self._reduced is None or not np.array_equal(self._reduced.x, x):
             within = self._reduce_voltages(x)
             power = x[2 * len(self.model.area.network.buses) :]
-            if len(power):
+            if len(power) and self.model.method is least_squares:
                 within = within._replace(turned=_with_power(within.turned, power), rows=_with_power(within.rows, power))
             boundaries = {neighbour.area: self._boundary(x, neighbour) for neighbour in self.model.area.neighbours}
             self._reduced = _Reduced(x.copy(), within, boundaries)
         return self._reduced
 
     def _reduce_voltages(self, x: np.ndarray) -> _Eliminated:
-        """The voltages within the area eliminated, at x without power into children."""
-        x = np.where(np.arange(len(x)) < 2 * len(self.model.area.network.buses), x, 0.0)
+        """The voltages within the area eliminated, at x without power into children where that changes no weights."""
+        if self.model.method is least_squares:
+            x = np.where(np.arange(len(x)) < 2 * len(self.model.area.network.buses), x, 0.0)
         if self._within is None or not np.array_equal(self._within[0], x):
             self._within = x, _eliminate(self._weighted_rows(x), self._order.n_within)
         return self._within[1]

@@ -22,12 +22,11 @@ from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, LinearArea, Ma
 from dsse_core.linear.sparse import SparseRows
 from dsse_core.matrices.augmented import AugmentedFactor
 
-PRIOR_SIGMA = 0.3  # p.u. and rad: a voltage lies that near to what it was, whatever happens
 MOST_TURNS = 4  # of the axes of (p, q)
 
 
 class RowSolver(LinearArea):
-    """All rows of an area's own measurements, prior and messages; ``rows``: those of ``model``, see ``Rows``."""
+    """All rows of an area: own measurements, further ones, messages; ``rows``: those of ``model``, see ``Rows``."""
 
     def __init__(self, model: AreaMeasurements, rows: Rows, name: str) -> None:
         self.name = name
@@ -46,19 +45,15 @@ class RowSolver(LinearArea):
         return np.asarray(self._least[columns])
 
     def stack(self, x: np.ndarray, received: Received) -> tuple[Matrix, np.ndarray, np.ndarray]:
-        """H, residual and sigma of the area's own measurements, of the model's prior, a row for each voltage, and of
-        the messages ``received``, up to four rows each.
-        """
-        model, rows, m = self.model, self.rows, len(self.model.z)
-        parts, of_parts = [rows.jacobian(x)], [model.residual_of(rows.predict(x))]
-        if model.prior is not None:
-            parts.append(rows.voltages())
-            of_parts.append((model.prior - x)[: model.n_own_rows - m])
+        """H, residual and sigma of the area's own measurements, its further rows, and the messages ``received``."""
+        rows, further = self.rows, [rows.at(x) for rows in self.model.further]
+        own = self.model.contribution(rows.predict(x))
         messages, of_messages = rows.messages(x, received)
-        r = np.concatenate([*of_parts, *of_messages])
+        r = np.concatenate([own.residual + own.shift, *(part.residual for part in further), *of_messages])
         sigma = np.ones(len(r))
-        sigma[:m], sigma[m : model.n_own_rows] = model.sigma, PRIOR_SIGMA
-        parts += messages
+        of_own = np.concatenate([own.weight**-0.5, *(part.sigma for part in further)])
+        sigma[: len(of_own)] = of_own
+        parts = [rows.jacobian(x), *(rows.take(part.H) for part in further), *messages]
         return (rows.join(parts) if len(parts) > 1 else parts[0]), r, sigma
 
 
@@ -138,19 +133,17 @@ def _find_power(
 
 
 def shift_of_own_rows(model: AreaMeasurements, rows: Rows, x: np.ndarray, H: Matrix) -> np.ndarray:
-    """How the area's own rows H of ``stack`` respond where all voltages grow by a share, and turn, shape (rows, 2).
+    """Responses of the area's own and further rows, H of ``stack``, to growth and turn of all voltages, shape (:, 2).
 
     The first scales all voltages of the area alike, the second turns all its angles (but a reference): then powers
     respond with 2 s and 0 exactly. Moving one bus alone would change flows by dv / z and leave to rounding what is
     known of its voltage, a difference of such changes.
     """
-    B, m = np.zeros((H.shape[0], 2)), len(model.z)
-    B[:m, 0], B[model.angles, 1] = model.degrees * rows.predict(x), 1.0
-    if model.prior is not None:
-        n_bus = len(model.area.network.buses)
-        B[m : m + n_bus, 1], B[m + n_bus :, 0] = 1.0, x[n_bus : 2 * n_bus]
+    own = np.zeros((len(model.z), 2))
+    own[:, 0], own[model.angles, 1] = model.degrees * rows.predict(x), 1.0
+    B = np.concatenate([own, *(further.at(x).response for further in model.further)]) if model.further else own
     if model.fixed.size:
-        B[:, 1] -= H[:, model.fixed].sum(axis=1)
+        B[:, 1] -= H[: len(B), model.fixed].sum(axis=1)
     return B
 
 
@@ -163,10 +156,9 @@ def _responses_to_shift(
     """
     (vm_column, va_column), fixed = model.voltage_columns(neighbour), model.fixed
     vm_b = float(x[vm_column])
-    B, dp = np.zeros((H.shape[0], 2)), np.zeros((2, 2))
-    end = model.n_own_rows
-    B[:end] = shift_of_own_rows(model, rows, x, H[:end])
-    B[:end, 0] /= vm_b
+    B, dp, own = np.zeros((H.shape[0], 2)), np.zeros((2, 2)), shift_of_own_rows(model, rows, x, H)
+    end = len(own)
+    B[:end] = own / (vm_b, 1.0)
     for n in model.area.neighbours:
         boundary = model.boundary_of(n)
         dy = np.zeros((boundary.d, 2))

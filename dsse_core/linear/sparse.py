@@ -121,8 +121,8 @@ class SparseRows(Rows):
         of_all = sp.csr_array((data, at, ends), shape=(len(ends) - 1, self._area.size))
         return [of_all], r
 
-    def voltages(self) -> sp.csr_array:
-        return sp.csr_array(sp.eye_array(2 * self._n, self._area.size, format="csr"))
+    def take(self, H: sp.csr_array) -> sp.csr_array:
+        return H
 
     def join(self, parts: list[Matrix]) -> sp.csr_array:
         return sp.csr_array(sp.vstack(parts, format="csr"))
@@ -165,7 +165,7 @@ class SparseRows(Rows):
         return np.concatenate([of_bus, of_bus, of_bus[np.array(of_powers, dtype=int)]])
 
     def _place_others(self, H: sp.csr_array, of_columns: np.ndarray) -> np.ndarray:
-        """Of the rows after the meters', the prior's and those of messages: before the last of their variables."""
+        """Of the rows after the meters', further ones and those of messages: before the last of their variables."""
         first = H.indptr[len(self._area.meters) :]
         found, is_given = np.zeros(len(first) - 1, dtype=np.int64), np.diff(first) > 0
         if is_given.any():

@@ -6,15 +6,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+import scipy.linalg
+import scipy.sparse as sp
 from boundary_marginal import marginal_of
 from feeders import Feeder, make_feeder, make_star
 from grids import MeterShares, make_grid
 
-from dsse_core.grid.measurement import Measurement
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear import Backend, choose_backend
 from dsse_core.linear.area_model import AreaModel, build_area_model
-from dsse_core.linear.boundary_information import BoundaryInformation
+from dsse_core.linear.boundary_information import EXACT_SIGMA, BoundaryInformation
+from dsse_core.linear.contributions import Contribution, CoupledRows, RowsAt, VoltageReadings
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 has_numba = importlib.util.find_spec("numba") is not None
@@ -124,9 +127,81 @@ def test_areas_with_a_prior_agree(random_seed):
     n_bus, n_area = int(rng.integers(3, 40)), int(rng.integers(2, 9))
     feeder = make_grid(random_seed, n_bus, n_area, 0.6, 1.0, 0, 0.15, None, True, shares)
     for case in cases_of(feeder, rng):
-        prior = case.x + rng.normal(0, 0.05, len(case.x))
-        dense, radial = (replace(case.other, backend=backend, prior=prior) for backend in ("dense", "radial"))
+        prior = voltages_near(case.x + rng.normal(0, 0.05, len(case.x)), case.other)
+        dense, radial = (replace(case.other, backend=backend, further=prior) for backend in ("dense", "radial"))
         assert_same(replace(case, sparse=dense, other=radial))
+
+
+def voltages_near(x: np.ndarray, model: AreaModel) -> tuple[VoltageReadings]:
+    return (VoltageReadings(x[: 2 * len(model.area.network.buses)]),)
+
+
+def halve_outliers(residual: np.ndarray, sigma: np.ndarray) -> Contribution:
+    """A second method: half the weight beyond three sigma, and there a tenth of the residual on top."""
+    is_far = (abs(residual) > 3 * sigma) & (sigma > EXACT_SIGMA)
+    return Contribution(residual, sigma**-2.0 / np.where(is_far, 2.0, 1.0), np.where(is_far, 0.1 * residual, 0.0))
+
+
+def injections_of(model: AreaModel, rng: np.random.Generator) -> CoupledRows:
+    """A prior on all injections of the area's own buses, with covariances between all of them."""
+    own = [bus.id for bus in model.area.network.buses if bus.id not in model.area.not_owned]
+    kinds = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
+    all_read = [Measurement(Meter(kind, bus), 0.0, 0.01) for kind in kinds for bus in own]
+    injected = build_area_model(model.area, all_read, model.reference, backend="sparse")
+    U = 50 * np.eye(len(all_read)) + rng.normal(0, 10, (len(all_read), len(all_read)))
+
+    def find(x: np.ndarray) -> RowsAt:
+        s, H = injected.predict(x), injected.jacobian(x)
+        response = np.stack([2 * U @ s, np.zeros(len(s))], axis=1)
+        return RowsAt(sp.csr_array(U @ H.toarray()), U @ (0.01 - s), np.ones(len(s)), response)
+
+    return CoupledRows(find)
+
+
+def reference_of(
+    model: AreaModel, x: np.ndarray, received: Mapping[str, BoundaryInformation]
+) -> tuple[np.ndarray, ...]:
+    """Step and variances from one dense factor of all weighted rows, heavy ones first and columns pivoted."""
+    own = model.contribution(model.predict(x))
+    H, r, root = [model.rows.full(model.jacobian(x))], [own.residual + own.shift], [own.weight**0.5]
+    for further in (rows.at(x) for rows in model.further):
+        H, r, root = [*H, further.H.toarray()], [*r, further.residual], [*root, 1 / further.sigma]
+    for neighbour in model.area.neighbours:
+        y, T = model.boundary(x, neighbour)
+        R, z = received[neighbour.area].rows
+        H, r, root = [*H, R @ model.rows.full(T)], [*r, z - R @ y], [*root, np.ones(len(z))]
+    rows = np.concatenate(root)[:, None] * np.column_stack([np.concatenate(H)[:, model.free], np.concatenate(r)])
+    rows = rows[np.argsort(-abs(rows[:, :-1]).max(axis=1))]
+    Q, triangle, order = scipy.linalg.qr(rows[:, :-1], mode="economic", pivoting=True)
+    inverse, dx, variance = scipy.linalg.inv(triangle), np.zeros(model.size), np.zeros(model.size)
+    dx[model.free[order]], variance[model.free[order]] = inverse @ (Q.T @ rows[:, -1]), (inverse**2).sum(axis=1)
+    return dx, variance
+
+
+@needs_numba
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_second_method_and_further_rows_are_those_of_the_dense_reference_on_all_back_ends(seed):
+    rng = np.random.default_rng(seed)
+    for case in cases_of(make_feeder(seed, n_bus=24, n_area=3, decades=1.0), rng):
+        x = case.x + rng.normal(0, 0.01, len(case.x)) * (
+            np.arange(len(case.x)) < 2 * len(case.sparse.area.network.buses)
+        )
+        x[case.sparse.fixed] = case.x[case.sparse.fixed]
+        prior = voltages_near(case.x, case.sparse)
+        for further in ((), prior, (*prior, injections_of(case.sparse, rng))):
+            asked = replace(case.sparse, method=halve_outliers, further=further)
+            assert asked.contribution(asked.predict(x)).shift.any()
+            dx, variance = reference_of(asked, x, case.received)
+            for backend in ("sparse", "dense", "radial"):
+                model = replace(asked, backend=backend)
+                n = 2 * len(model.area.network.buses)
+                assert model.linear.name.startswith("dense" if len(further) == 2 else backend)
+                found = model.linear.step(x, case.received)
+                np.testing.assert_allclose(found[:n], dx[:n], rtol=0, atol=1e-7 * abs(dx[:n]).max())
+                found, _ = model.linear.variances(x, case.received)
+                np.testing.assert_allclose(found[:n], variance[:n], rtol=1e-6, atol=1e-17)
+                for neighbour in model.area.neighbours:
+                    assert_same_information(Case(asked, model, x, case.received), neighbour)
 
 
 @needs_numba
@@ -134,8 +209,9 @@ def test_a_model_read_anew_has_the_prior_of_now_and_forgets_the_former_one():
     case = next(cases_of(make_feeder(5, n_bus=60, n_area=6, decades=1.0), np.random.default_rng(5)))
     readings = [Measurement(m, z, s) for m, z, s in zip(case.other.meters, case.other.z, case.other.sigma, strict=True)]
     plain = case.other.linear.step(case.x, case.received)
-    with_prior = case.other.with_readings(readings, case.x + 0.1)
-    expected = replace(case.sparse, prior=case.x + 0.1).linear.step(case.x, case.received)
+    prior = voltages_near(case.x + 0.1, case.other)
+    with_prior = case.other.with_readings(readings, prior)
+    expected = replace(case.sparse, further=prior).linear.step(case.x, case.received)
     step = with_prior.linear.step(case.x, case.received)
     np.testing.assert_allclose(step, expected, rtol=0, atol=CLOSE)
     assert abs(step - plain).max() > 1e-6
@@ -156,8 +232,8 @@ def test_where_injections_are_measured_the_tree_answers_all_those_of_the_substat
         assert assert_same(case) == 0
         if case.other.reference is not None:
             assert case.other.reference not in case.other.area.boundary_buses
-            prior = case.x + 0.01
-            dense, radial = (replace(case.other, backend=backend, prior=prior) for backend in ("dense", "radial"))
+            prior = voltages_near(case.x + 0.01, case.other)
+            dense, radial = (replace(case.other, backend=backend, further=prior) for backend in ("dense", "radial"))
             assert assert_same(replace(case, sparse=dense, other=radial)) == 0
 
 

@@ -1,0 +1,83 @@
+"""Contributions of measurements and further rows to an area at a state x_k: the one place that all back ends ask."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+import scipy.sparse as sp
+
+PRIOR_SIGMA = 0.3  # p.u. and rad: a voltage lies that near to what it was, whatever happens
+
+
+class Contribution(NamedTuple):
+    """Of each measurement, (n_meas,): the step minimises ``sum weight (residual + shift - H dx)^2``."""
+
+    residual: np.ndarray
+    weight: np.ndarray
+    shift: np.ndarray
+
+
+Method: TypeAlias = Callable[[np.ndarray, np.ndarray], Contribution]
+"""The contribution that follows from residuals z - h(x_k) and sigmas, (n_meas,) each."""
+
+
+def least_squares(residual: np.ndarray, sigma: np.ndarray) -> Contribution:
+    """Weights 1 / sigma^2, whatever the residual."""
+    return Contribution(residual, sigma**-2.0, np.zeros(len(sigma)))
+
+
+class RowsAt(NamedTuple):
+    """Rows at a state: ``H`` (k, size), ``residual`` (k,), ``sigma`` (k,).
+
+    ``response`` (k, 2): of what they read where all voltages of the area grow by a share, and where all turn, the
+    reference included.
+    """
+
+    H: sp.csr_array
+    residual: np.ndarray
+    sigma: np.ndarray
+    response: np.ndarray
+
+
+class FurtherRows(ABC):
+    """Rows of an area beside those of its meters; they have no part in J, degrees of freedom or bad data.
+
+    ``couples_many``: one of them reads many buses, which the elimination on a tree cannot take, nor sparse matrices
+    without filling in: dense rows do.
+    """
+
+    couples_many = False
+
+    @abstractmethod
+    def at(self, x: np.ndarray) -> RowsAt:
+        """The rows at the state ``x``, (size,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class VoltageReadings(FurtherRows):
+    """Every voltage counts as read: angles, then magnitudes, (2 n_bus,), such as the state before."""
+
+    z: np.ndarray
+    sigma: float = PRIOR_SIGMA
+
+    def at(self, x: np.ndarray) -> RowsAt:
+        k, n = len(self.z), len(self.z) // 2
+        response = np.zeros((k, 2))
+        response[:n, 1], response[n:, 0] = 1.0, x[n:k]
+        H = sp.csr_array(sp.eye_array(k, len(x), format="csr"))
+        return RowsAt(H, self.z - x[:k], np.full(k, self.sigma), response)
+
+
+@dataclass(frozen=True, eq=False)
+class CoupledRows(FurtherRows):
+    """Rows that couple many buses, such as a prior on injections with all covariances."""
+
+    find: Callable[[np.ndarray], RowsAt]
+    couples_many = True
+
+    def at(self, x: np.ndarray) -> RowsAt:
+        return self.find(x)
