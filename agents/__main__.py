@@ -11,10 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
-from agents.area_files.area_file import AreaFile
 from agents.area_files.reader import load_area_file
 from agents.orders.order_book import BY_OPERATOR, STOPPED_CODE, OrderBook
 from agents.orders.order_file import OrderFile
+from agents.protocol.configuration import Configuration
 from agents.protocol.events import StopRequested
 from agents.runtime.duplicate_guard import REPLACED_CODE, ReplacedError
 from agents.runtime.inbox import Inbox
@@ -160,7 +160,7 @@ def run_area(
     return reason
 
 
-def _open_session(content: AreaFile, timeout_s: float, keys: Path | None) -> Session:
+def _open_session(content: Configuration, timeout_s: float, keys: Path | None) -> Session:
     """Join the bus at a router, or listen for the neighbours."""
     loaded = load_keys(keys, content.area.name, content.run, listens=bool(content.listen))
     if not content.listen:

@@ -7,8 +7,9 @@ from itertools import repeat
 from pathlib import Path
 from typing import Any, TypeVar
 
-from agents.area_files.area_file import AreaFile, SplitStamp, keys_of
 from agents.area_files.tables import area_table
+from agents.protocol.configuration import Configuration, SplitStamp
+from agents.protocol.configuration_keys import keys_of
 from dsse_core.endpoints import find_problems_in
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import StateLimits
@@ -25,7 +26,7 @@ from dsse_core.reading_rules import KindRule, ReadingRules
 T = TypeVar("T")
 
 
-def load_area_file(path: Path, strategies: Collection[str] | None = None) -> AreaFile:
+def load_area_file(path: Path, strategies: Collection[str] | None = None) -> Configuration:
     """Read and check an area file; ``strategies``: those that there are, if the file is to name one of them.
 
     Raises:
@@ -43,7 +44,7 @@ def load_area_file(path: Path, strategies: Collection[str] | None = None) -> Are
         problems += [f"network: {problem}" for problem in error.problems]
     if problems:
         raise InvalidInputError(t.called(path), problems)
-    return AreaFile(
+    return Configuration(
         run=t.run,
         area=_area_of(t, network),
         meters=meters,

@@ -10,11 +10,11 @@ import logging
 from collections import Counter
 from collections.abc import Collection, Iterator
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.checks import MessageError, should_log
 from agents.messages.packing import MAX_NEIGHBOUR_BYTES, CommandMessage, decode
 from agents.orders.order_file import Followed, OrderFile
 from agents.peers.rejections import LONGEST_LEAD_S, find_lead
+from agents.protocol.configuration import Configuration
 from agents.protocol.events import Event, Ordered, Rejected, StopRequested
 from agents.security.access import OPERATOR
 from dsse_core.grid.measurement import Source
@@ -60,12 +60,12 @@ class OrderBook:
         self._rejected: Counter[str] = Counter()
 
     @classmethod
-    def of(cls, content: AreaFile, file: OrderFile | None = None) -> OrderBook:
+    def of(cls, content: Configuration, file: OrderFile | None = None) -> OrderBook:
         """That of the area of ``content``."""
         meters = [meter.id for meter in content.meters if meter.source is not Source.VIRTUAL]
         return cls(content.area.name, content.run, meters, file)
 
-    def go_over(self, content: AreaFile) -> OrderBook:
+    def go_over(self, content: Configuration) -> OrderBook:
         """That of the same area with other meters."""
         return OrderBook.of(content, self._file)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.packing import (
     BoundaryUpdate,
     ClockMessage,
@@ -20,6 +19,7 @@ from agents.messages.packing import (
     TelemetryMessage,
     UpMessage,
 )
+from agents.protocol.configuration import Configuration
 from dsse_core.linear.boundary_information import BEYOND_REASON, are_within_reason
 
 LONGEST_LEAD_S = 600.0  # by which the sender's clock may be ahead of ours
@@ -90,7 +90,7 @@ class Rejections:
         return self._rejected + Counter(self._not_let_in)
 
 
-def find_rejection(message: Message, key_sender: str, content: AreaFile, now: float) -> str:
+def find_rejection(message: Message, key_sender: str, content: Configuration, now: float) -> str:
     """Why the agent of ``content`` cannot take ``message``, in short; empty if it can.
 
     ``key_sender``: as in ``events.Received``. ``now``: s since 1970. A time in the past is no reason: order
@@ -142,7 +142,7 @@ def find_unreasonable(
     return "" if possible else "numbers beyond reason"
 
 
-def _find_telemetry_rejection(message: TelemetryMessage, content: AreaFile) -> str:
+def _find_telemetry_rejection(message: TelemetryMessage, content: Configuration) -> str:
     if message.area != content.area.name:
         return "telemetry of another area"
     if message.header.scan > MOST_COUNTED // 2:

@@ -13,8 +13,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from agents.area_files.area_file import AreaFile
-from agents.area_files.split_digest import find_identity
 from agents.messages.packing import (
     Header,
     HeartbeatMessage,
@@ -41,6 +39,7 @@ from agents.peers.rejections import (
     find_rejection,
 )
 from agents.peers.splits import Splits
+from agents.protocol.configuration import Configuration
 from agents.protocol.events import (
     Action,
     ClockSet,
@@ -75,7 +74,7 @@ class AreaProtocol(ABC):
     """
 
     def __init__(
-        self, content: AreaFile, kinds: Sequence[str], incarnation: Incarnation, *, now: float, started_at: float
+        self, content: Configuration, kinds: Sequence[str], incarnation: Incarnation, *, now: float, started_at: float
     ) -> None:
         self._content = content
         self._area = content.area
@@ -94,8 +93,10 @@ class AreaProtocol(ABC):
         self._shown_readings: tuple[ReadingsMessage, float] | None = None  # those, and when
         self._n_shown = 0
         self._rejections = Rejections()
-        self._splits = Splits(content.area.name, find_identity(content))
-        self._next: AreaFile | None = None  # what the area rests on from the next scan on, once all areas hold theirs
+        self._splits = Splits(content.area.name, content.identity)
+        self._next: Configuration | None = (
+            None  # what the area rests on from the next scan on, once all areas hold theirs
+        )
         self._quiet_until = now  # without an estimate nothing is published before
         self._end = ScanEnd(PATIENCE_HEARTBEATS * content.beat_s)
         self._published = PublishedState(
@@ -241,9 +242,9 @@ class AreaProtocol(ABC):
 
     # The next split
 
-    def _take_offer(self, configuration: AreaFile | None) -> None:
+    def _take_offer(self, configuration: Configuration | None) -> None:
         """Hold ``configuration`` for the scan from which on all areas rest on its split, if it can be used for that."""
-        split = find_identity(configuration) if configuration else NO_SPLIT
+        split = configuration.identity if configuration else NO_SPLIT
         is_next = split.is_sound and split != self._splits.own
         self._next, self._splits.held = (configuration, split) if is_next else (None, NO_SPLIT)
         self._splits.edited_next = split if split.edited else NO_SPLIT

@@ -12,7 +12,6 @@ from typing import Any, cast
 
 import numpy as np
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.packing import (
     BoundaryUpdate,
     HeartbeatMessage,
@@ -25,6 +24,7 @@ from agents.peers.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS
 from agents.peers.peers import Term
 from agents.peers.rejections import find_unreasonable
 from agents.protocol.area_protocol import AreaProtocol
+from agents.protocol.configuration import Configuration
 from agents.protocol.events import Action, Publish
 from agents.protocol.quality import (
     DEGRADED,
@@ -57,7 +57,7 @@ class AsynchronousProtocol(AreaProtocol):
     """One area's part in the exchange of ``strategy``; for the other arguments see ``AreaProtocol``."""
 
     def __init__(
-        self, content: AreaFile, strategy: Strategy, incarnation: Incarnation, *, now: float, started_at: float
+        self, content: Configuration, strategy: Strategy, incarnation: Incarnation, *, now: float, started_at: float
     ) -> None:
         super().__init__(content, strategy.kinds(), incarnation, now=now, started_at=started_at)
         self._strategy = strategy

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.packing import HeartbeatMessage, Incarnation, LoadMessage
 from agents.protocol.area_protocol import AreaProtocol
 from agents.protocol.asynchronous import AsynchronousProtocol
+from agents.protocol.configuration import Configuration
 from agents.protocol.rounds import RoundsProtocol
 from agents.strategies.installed import load_strategy
 from agents.strategies.interface import Strategy
 from dsse_core.errors import InvalidInputError
 
 
-def make_protocol(content: AreaFile, incarnation: Incarnation, *, now: float, started_at: float) -> AreaProtocol:
+def make_protocol(content: Configuration, incarnation: Incarnation, *, now: float, started_at: float) -> AreaProtocol:
     """The protocol of the strategy that the area file names; see ``AreaProtocol`` for the arguments.
 
     Raises:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.packing import Message
+from agents.protocol.configuration import Configuration
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class Ordered:
 class Offered:
     """The configuration of the next split lies ready beside the one in use; None: it does no more."""
 
-    configuration: AreaFile | None
+    configuration: Configuration | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ class GoOver:
     What this one would say beyond that is not said.
     """
 
-    configuration: AreaFile
+    configuration: Configuration
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.packing import Incarnation, TelemetryMessage
 from agents.peers.rejections import find_reading_rejection
+from agents.protocol.configuration import Configuration
 from dsse_core.grid.measurement import Meter, Source
 from dsse_core.reading_rules import ANYBODY, KindRule, allowed_lead_s
 
@@ -43,7 +43,7 @@ class ReadingStore:
     off, which the next snapshot leaves out.
     """
 
-    def __init__(self, content: AreaFile) -> None:
+    def __init__(self, content: Configuration) -> None:
         self.newest: dict[str, Reading] = {}
         self.why_rejected: dict[str, str] = {}
         self.rejected: Counter[str] = Counter()

@@ -15,9 +15,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.packing import TelemetryMessage
 from agents.peers.rejections import find_reading_rejection
+from agents.protocol.configuration import Configuration
 from agents.protocol.reading_store import AHEAD, INVALID, OUTLIVED, ReadingStore
 from dsse_core.exchange.boundary_load import NetLoad, measured_net_loads, own_net_load
 from dsse_core.grid.measurement import Measurement, Meter, Source
@@ -29,7 +29,7 @@ Read = dict[str, tuple[Measurement, float]]
 """Meter id -> its reading, and when it was measured, s since 1970 UTC."""
 
 
-def expected_scan_s(content: AreaFile) -> float:
+def expected_scan_s(content: Configuration) -> float:
     """The time between two scans, s; where it is not known, the one of which an area waits a share."""
     return content.scan_s or DEADLINE_HEARTBEATS / DEADLINE_SHARE * content.beat_s
 
@@ -88,7 +88,7 @@ class Readings:
     ``mistimed``: ids of those that have no other reading than one of a time that cannot be.
     """
 
-    def __init__(self, content: AreaFile, store: ReadingStore) -> None:
+    def __init__(self, content: Configuration, store: ReadingStore) -> None:
         self._content = content
         self._store = store
         self._meters = {meter.id: meter for meter in content.meters}

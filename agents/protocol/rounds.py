@@ -17,7 +17,6 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.packing import (
     DownMessage,
     HeartbeatMessage,
@@ -33,6 +32,7 @@ from agents.peers.peers import Peer, Term
 from agents.peers.rejections import FAR_SCAN
 from agents.protocol.area_protocol import AreaProtocol
 from agents.protocol.area_round import AreaRound, Content, Decider, Outcome
+from agents.protocol.configuration import Configuration
 from agents.protocol.events import Action, Publish
 from agents.protocol.rounds_state import RoundsState
 from agents.protocol.scan_readings import TelemetryUpdate
@@ -48,7 +48,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
     message_types = (UpMessage, DownMessage)
     takes_rings = True
 
-    def __init__(self, content: AreaFile, incarnation: Incarnation, *, now: float, started_at: float) -> None:
+    def __init__(self, content: Configuration, incarnation: Incarnation, *, now: float, started_at: float) -> None:
         super().__init__(content, self.kinds(), incarnation, now=now, started_at=started_at)
         self._round = AreaRound(content.area, self._splits)
         self._revision = 0

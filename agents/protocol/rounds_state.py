@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.packing import StateMessage
 from agents.peers.freshness import PASSED_ON_HEARTBEATS
 from agents.peers.peer_table import PeerTable
@@ -14,6 +13,7 @@ from agents.peers.peers import Term
 from agents.peers.rejections import Rejections
 from agents.peers.splits import Splits
 from agents.protocol.area_round import AreaRound, Outcome
+from agents.protocol.configuration import Configuration
 from agents.protocol.published_state import PublishedState
 from agents.protocol.quality import (
     DEGRADED,
@@ -60,7 +60,7 @@ class RoundsState:
 
     def __init__(
         self,
-        content: AreaFile,
+        content: Configuration,
         peers: PeerTable,
         round: AreaRound,
         scan: ScanReadings,

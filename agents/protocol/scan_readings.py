@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections import Counter
 from enum import Enum, auto
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.packing import NO_INCARNATION, Incarnation, TelemetryMessage
 from agents.peers.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, is_old
 from agents.peers.rejections import MOST_COUNTED
+from agents.protocol.configuration import Configuration
 from agents.protocol.events import Ordered
 from agents.protocol.reading_store import ReadingStore
 from agents.protocol.readings import DEADLINE_SHARE, Readings, expected_scan_s
@@ -39,7 +39,7 @@ class ScanReadings:
     ``stale``. ``store``: the readings that belong to no scan. ``clock_offset``: from monotonic to wall-clock time, s.
     """
 
-    def __init__(self, content: AreaFile, now: float, clock_offset: float = 0.0) -> None:
+    def __init__(self, content: Configuration, now: float, clock_offset: float = 0.0) -> None:
         self.store = ReadingStore(content)
         self.readings = Readings(content, self.store)
         self.clock_offset = clock_offset

@@ -6,8 +6,8 @@ readings that it has then. No reading is waited for: readings are as old as they
 
 from __future__ import annotations
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.packing import NO_INCARNATION, Incarnation, TelemetryMessage
+from agents.protocol.configuration import Configuration
 from agents.protocol.readings import DEADLINE_HEARTBEATS
 from agents.protocol.scan_readings import MOST_AHEAD, ScanReadings, TelemetryUpdate
 
@@ -18,7 +18,7 @@ ROUNDING_S = 2e-6  # of a time of day as a floating-point number, doubled: a tic
 class TickReadings(ScanReadings):
     """See ``ScanReadings``; telemetry numbers nothing here."""
 
-    def __init__(self, content: AreaFile, now: float, clock_offset: float = 0.0) -> None:
+    def __init__(self, content: Configuration, now: float, clock_offset: float = 0.0) -> None:
         super().__init__(content, now, clock_offset)
         assert content.scan_s is not None  # as the reader of area files makes sure
         self._scan_s = content.scan_s

@@ -9,8 +9,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from agents.area_files.area_file import AreaFile
-from agents.area_files.split_digest import find_identity
 from agents.messages.checks import MessageError
 from agents.messages.keys import (
     all_from_neighbours,
@@ -35,6 +33,7 @@ from agents.messages.packing import (
 )
 from agents.orders.order_book import OrderBook
 from agents.protocol.choose import kinds_of, make_protocol
+from agents.protocol.configuration import Configuration
 from agents.protocol.events import (
     ClockSet,
     Conclude,
@@ -93,7 +92,7 @@ class _CommandReceived:
 
 
 def run_agent(
-    content: AreaFile,
+    content: Configuration,
     session: Session,
     inbox: Inbox,
     watchdog: Watchdog | None = None,
@@ -119,7 +118,7 @@ def run_agent(
             return end
         if next_file is not None:
             next_file.take_place()
-        log.info("area %s goes over to %s", end.area.name, find_identity(end))
+        log.info("area %s goes over to %s", end.area.name, end.identity)
         content, orders, is_first = end, orders.go_over(end), False
         incarnation = begin_incarnation(incarnation)
 
@@ -141,14 +140,14 @@ class _Process:
 
 
 def _run_configuration(
-    content: AreaFile,
+    content: Configuration,
     process: _Process,
     orders: OrderBook,
     incarnation: Incarnation,
     former: Sequence[Declaration],
     *,
     is_first: bool,
-) -> str | AreaFile:
+) -> str | Configuration:
     """Take part with ``content`` until the end of the process, whose reason is returned, or until the next one counts.
 
     Subscribes first and shows its presence last, so that who sees the token can be sure that its messages are received.
@@ -208,7 +207,7 @@ def _run_configuration(
             raise
 
 
-def _heartbeats_from(configuration: AreaFile | None) -> list[str]:
+def _heartbeats_from(configuration: Configuration | None) -> list[str]:
     """The keys on which the neighbours by the next configuration say where they stand."""
     if configuration is None:
         return []
@@ -216,15 +215,15 @@ def _heartbeats_from(configuration: AreaFile | None) -> list[str]:
     return [neighbour_key(run, n.area, HeartbeatMessage.kind, name) for n in configuration.area.neighbours]
 
 
-def _declare_presence(content: AreaFile, session: Session, incarnation: Incarnation) -> Callable[[bytes], None]:
+def _declare_presence(content: Configuration, session: Session, incarnation: Incarnation) -> Callable[[bytes], None]:
     """Show the token of ``incarnation``; what sends its leave message."""
-    own_token = live_key(content.run, "area", content.area.name, incarnation, find_identity(content))
+    own_token = live_key(content.run, "area", content.area.name, incarnation, content.identity)
     send_leave = session.publisher(own_token)
     session.declare_presence(own_token)
     return send_leave
 
 
-def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: Inbox) -> IngressFilter:
+def _listen(content: Configuration, session: Session, kinds: Sequence[str], inbox: Inbox) -> IngressFilter:
     """Have all that is meant for the area put into ``inbox``, through the filter that is returned."""
     run, name = content.run, content.area.name
     neighbours = sorted({n.area for n in content.area.neighbours})
@@ -247,7 +246,9 @@ def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: In
     return ingress_filter
 
 
-def _publishers(content: AreaFile, session: Session, kinds: Sequence[str]) -> Callable[[str | None, str, bytes], None]:
+def _publishers(
+    content: Configuration, session: Session, kinds: Sequence[str]
+) -> Callable[[str | None, str, bytes], None]:
     """One publisher per key, all declared at the start."""
     run, name = content.run, content.area.name
     publishers: dict[tuple[str | None, str], Callable[[bytes], None]] = {}

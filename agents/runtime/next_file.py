@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from agents.area_files.area_file import AreaFile
+from agents.protocol.configuration import Configuration
 from agents.protocol.events import Offered
 from agents.runtime.inbox import Inbox
 from dsse_core.errors import InvalidInputError
@@ -26,7 +26,7 @@ Look = tuple[int, int, int] | None  # size, time of the last change in ns, numbe
 class NextFile:
     """Of the area of ``content``, whose own file is ``path``; what is found is put into ``inbox``, read by ``load``."""
 
-    def __init__(self, path: Path, content: AreaFile, inbox: Inbox, load: Callable[[Path], AreaFile]) -> None:
+    def __init__(self, path: Path, content: Configuration, inbox: Inbox, load: Callable[[Path], Configuration]) -> None:
         self.path = path.with_name(f"{path.stem}.next{path.suffix}")
         self._own_path = path
         self._content, self._inbox, self._load = content, inbox, load
@@ -34,7 +34,7 @@ class NextFile:
         self._seen: Look = None  # at the last look
         self._read: Look = None  # what was read last
 
-    def read_at_once(self) -> AreaFile | None:
+    def read_at_once(self) -> Configuration | None:
         """What lies there when the process begins."""
         self._seen = self._read = self._look()
         return self._offer() if self._read is not None else None
@@ -73,9 +73,9 @@ class NextFile:
             return None
         return found.st_size, found.st_mtime_ns, found.st_ino
 
-    def _offer(self) -> AreaFile | None:
+    def _offer(self) -> Configuration | None:
         """Read the file, and have the protocol learn of it."""
-        found: AreaFile | None = None
+        found: Configuration | None = None
         try:
             found = self._load(self.path)
             self._check(found)
@@ -85,7 +85,7 @@ class NextFile:
         self._inbox.put("next file", Offered(found))
         return found
 
-    def _check(self, found: AreaFile) -> None:
+    def _check(self, found: Configuration) -> None:
         """Raise InvalidInputError if the file is of another area or run."""
         own = self._content
         pairs = (("area", found.area.name, own.area.name), ("run", found.run, own.run))

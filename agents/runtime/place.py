@@ -9,9 +9,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-from agents.area_files.area_file import AreaFile
-from agents.area_files.split_digest import find_identity
 from agents.messages.keys import all_incarnations, incarnation_of, split_of
+from agents.protocol.configuration import Configuration
 from agents.runtime.duplicate_guard import ReplacedError, find_overlap_s
 from agents.transport.zenoh_bus import Session
 from dsse_core.split_identity import SplitIdentity
@@ -20,9 +19,9 @@ ANSWER_S = 1.0  # within which the bus says who is there
 
 
 def take_place(
-    content: AreaFile,
+    content: Configuration,
     session: Session,
-    following: AreaFile | None = None,
+    following: Configuration | None = None,
     clock: Callable[[], float] = time.monotonic,
     wait: Callable[[float], None] = time.sleep,
 ) -> None:
@@ -34,18 +33,18 @@ def take_place(
         ReplacedError: such a process is there for so long that it runs.
     """
     over = clock() + find_overlap_s(content.beat_s)
-    known = [find_identity(given) for given in (content, following) if given is not None]
+    known = [given.identity for given in (content, following) if given is not None]
     while (newer := _find_newer(content, session, known)) is not None:
         if clock() >= over:
             raise ReplacedError(
                 f"area {content.area.name} of run {content.run} runs already, with a newer file: {newer}; the file "
-                f"given here is of {find_identity(content)}. Give the newer file, or stop the running process, or "
+                f"given here is of {content.identity}. Give the newer file, or stop the running process, or "
                 "take its place all the same with --older-file"
             )
         wait(content.beat_s)
 
 
-def _find_newer(content: AreaFile, session: Session, known: Sequence[SplitIdentity]) -> SplitIdentity | None:
+def _find_newer(content: Configuration, session: Session, known: Sequence[SplitIdentity]) -> SplitIdentity | None:
     """The newest split that a process of the area states, where that is newer than those ``known`` here."""
     own = max(known, key=lambda split: split.age_order)
     tokens = session.find_presence(all_incarnations(content.run, "area", content.area.name), ANSWER_S)

@@ -1,14 +1,14 @@
 """Strategies: what an area makes of what it knows, and what it sends its neighbours. With what yours needs."""
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.checks import Count, Integer, Name, Names, Number, Numbers
 from agents.messages.types import BoundaryUpdate, Header
+from agents.protocol.configuration import Configuration
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from dsse_core.grid.partition import Neighbour
 
 __all__ = [
-    "AreaFile",
     "BoundaryUpdate",
+    "Configuration",
     "Count",
     "Estimate",
     "Header",

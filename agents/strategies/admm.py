@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.packing import BoundaryUpdate, Header
+from agents.protocol.configuration import Configuration
 from agents.strategies.admm_boundary import MOVED, AdmmMessage, BoundaryIteration
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import start_state
@@ -31,7 +31,7 @@ class Admm(Strategy):
 
     message_types = (AdmmMessage,)
 
-    def __init__(self, content: AreaFile) -> None:
+    def __init__(self, content: Configuration) -> None:
         self._content = content
         self._area = content.area
         self._measurements: tuple[Measurement, ...] = ()

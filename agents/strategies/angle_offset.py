@@ -13,9 +13,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.checks import Number, Numbers
 from agents.messages.packing import BoundaryUpdate, Header
+from agents.protocol.configuration import Configuration
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from dsse_core.errors import DsseError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
@@ -54,7 +54,7 @@ class AngleOffset(Strategy):
     estimates_alone = True
     reconciles_magnitudes = False
 
-    def __init__(self, content: AreaFile) -> None:
+    def __init__(self, content: Configuration) -> None:
         self._content = content
         self._area = content.area
         self._solved_for: object = None

@@ -13,8 +13,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.packing import BoundaryUpdate, Header
+from agents.protocol.configuration import Configuration
 from dsse_core.exchange.boundary_load import NetLoad
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.partition import Area, Neighbour
@@ -133,7 +133,7 @@ class Strategy(AnyStrategy, ABC):
     message_types: ClassVar[tuple[type[BoundaryUpdate], ...]]
 
     @abstractmethod
-    def __init__(self, content: AreaFile) -> None: ...
+    def __init__(self, content: Configuration) -> None: ...
 
     @abstractmethod
     def solve(self, known: Knowledge) -> tuple[Estimate | None, tuple[str, ...]]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from agents.area_files.area_file import AreaFile
+from agents.protocol.configuration import Configuration
 from dsse_core.errors import DsseError
 from dsse_core.exchange.boundary_load import NetLoad, boundary_loads
 from dsse_core.grid.admittance import flat_start
@@ -20,7 +20,7 @@ def find_no_load(area: Area) -> tuple[np.ndarray, np.ndarray]:
     return flat_start(area.network, area.reference[0] if area.reference else area.slack_bus)
 
 
-def start_state(content: AreaFile, received: Mapping[str, NetLoad]) -> np.ndarray:
+def start_state(content: Configuration, received: Mapping[str, NetLoad]) -> np.ndarray:
     """``x`` of ``AreaModel``: the local power flow once load messages allow one, else flat."""
     area, network = content.area, content.area.network
     vm, va = find_no_load(area)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from agents.strategies import AreaFile, BoundaryUpdate, Estimate, Header, Knowledge, Neighbour, Number, Strategy
+from agents.strategies import BoundaryUpdate, Configuration, Estimate, Header, Knowledge, Neighbour, Number, Strategy
 from dsse_core.errors import DsseError
 from dsse_core.estimation.estimator import estimate_state
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
@@ -41,7 +41,7 @@ class BoundaryAverage(Strategy):
     estimates_alone = True  # so `dsse check` asks that each area is observable with its local_meters
     reconciles_magnitudes = False  # the two sides come closer; they do not become equal
 
-    def __init__(self, content: AreaFile) -> None:
+    def __init__(self, content: Configuration) -> None:
         self._area = content.area
         self._measurements: tuple[Measurement, ...] = ()
         self._own: Estimate | None = None  # from the area's own meters alone

@@ -9,7 +9,7 @@ from system_by_hand import agreeing_system
 
 from agents.area_files.area_file import save_area_file
 from agents.area_files.reader import load_area_file
-from agents.area_files.split_digest import find_identity, stamp_split
+from agents.area_files.split_digest import stamp_split
 from agents.protocol.quality import GOOD
 from agents.runtime.duplicate_guard import REPLACED_CODE
 
@@ -31,7 +31,7 @@ def test_an_older_file_is_refused_beside_a_running_agent_and_named_by_all_areas_
         watcher.wait_until(lambda: refused.poll() is not None)
         assert refused.returncode == REPLACED_CODE
         log = system.read_log("older")
-        assert all(str(find_identity(content)) in log for content in (old, new[1])), log
+        assert all(str(content.identity) in log for content in (old, new[1])), log
         assert not watcher.obstacles()
         assert {state.quality for state in watcher.states.values()} == {GOOD}
 
@@ -39,11 +39,11 @@ def test_an_older_file_is_refused_beside_a_running_agent_and_named_by_all_areas_
 
         def is_named() -> bool:
             states = watcher.states
-            if find_identity(old) != states["area2"].split:
+            if old.identity != states["area2"].split:
                 return False
             sentences = ("the file of area2 is older", "the file of this area is older")
             named = zip((states["area1"], states["area2"]), sentences, strict=True)
-            return all(any(n.startswith(what) and str(find_identity(old)) in n for n in s.notes) for s, what in named)
+            return all(any(n.startswith(what) and str(old.identity) in n for n in s.notes) for s, what in named)
 
         watcher.wait_until(is_named)
         assert watcher.states["area2"].quality != GOOD
@@ -53,4 +53,4 @@ def test_an_older_file_is_refused_beside_a_running_agent_and_named_by_all_areas_
         watcher.wait_until(
             lambda: {state.quality for state in watcher.states.values()} == {GOOD} and not watcher.obstacles()
         )
-        assert watcher.states["area2"].split == find_identity(new[1])
+        assert watcher.states["area2"].split == new[1].identity

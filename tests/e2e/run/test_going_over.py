@@ -13,7 +13,6 @@ from system_by_hand import SystemByHand
 from waiting import DEADLINE_S
 
 from agents.area_files.reader import load_area_file
-from agents.area_files.split_digest import find_identity
 from agents.messages.keys import all_states
 from agents.messages.packing import StateMessage, decode
 from agents.protocol.quality import GOOD
@@ -39,7 +38,7 @@ def test_all_areas_go_over_together_and_no_scan_is_without_an_estimate_for_long(
     new = str(tmp_path / "new" / "ieee33.toml")
     for scenario, folder in ((RUN, "areas"), (new, "next")):
         assert dsse("split", scenario, "--out", folder, "--connect", endpoint).returncode == 0
-    splits = {folder: find_identity(load_area_file(tmp_path / folder / "area1.toml")) for folder in ("areas", "next")}
+    splits = {folder: load_area_file(tmp_path / folder / "area1.toml").identity for folder in ("areas", "next")}
     scenarios = {splits["areas"]: load_scenario(RUN), splits["next"]: load_scenario(new)}
     with SystemByHand(tmp_path) as system:
         system.start("router", "router", "--listen", endpoint)
@@ -57,9 +56,7 @@ def test_all_areas_go_over_together_and_no_scan_is_without_an_estimate_for_long(
             assert system.end("plant") == 0
             system.start("plant", "plant", new, "--connect", endpoint, "--every", EVERY_S)
             states.wait_until_good(splits["next"])
-        assert all(
-            find_identity(load_area_file(tmp_path / "areas" / f"{name}.toml")) == splits["next"] for name in AREAS
-        )
+        assert all(load_area_file(tmp_path / "areas" / f"{name}.toml").identity == splits["next"] for name in AREAS)
         assert all(process.poll() is None for process in system.processes.values())
     assert states.longest_gap_s <= LONGEST_GAP_S
     good = [state for state in states.all if state.quality == GOOD]

@@ -10,7 +10,7 @@ import pytest
 from simulated_bus import SimulatedBus, area_files_of
 
 from agents.area_files.area_file import AreaFile
-from agents.area_files.split_digest import find_identity, stamp_split
+from agents.area_files.split_digest import stamp_split
 from agents.messages.packing import StateMessage
 from agents.protocol.quality import GOOD
 from coordinator.simulator.simulator import STARTED_AT
@@ -114,7 +114,7 @@ def test_one_older_or_edited_file_leaves_no_area_good_and_all_name_it_within_one
     else:
         own = stamp_split([*files[:k], edited, *files[k + 1 :]], time=STARTED_AT - OLDER_S)[k]
     bus, shown = run_with([*files[:k], own, *files[k + 1 :]], scenario)
-    theirs, ours = find_identity(own), find_identity(files[k])
+    theirs, ours = own.identity, files[k].identity
     assert theirs != ours
     assert_all_name(bus, shown, own.area.name, theirs, *(() if theirs.edited else (ours,)))
 
@@ -128,7 +128,7 @@ def test_under_an_asynchronous_strategy_the_neighbours_name_it_and_no_area_is_go
     assert all(state.quality != GOOD for state in shown)
     neighbours = {n.area for n in old.area.neighbours}
     for name in (old.area.name, *neighbours):
-        assert any("is older" in note and str(find_identity(old)) in note for note in bus.states[name].notes)
+        assert any("is older" in note and str(old.identity) in note for note in bus.states[name].notes)
 
 
 def test_areas_that_are_restarted_with_the_new_files_one_by_one_are_good_at_the_end():

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from going_over import LONGEST_GAP_S, NEXT, OLD, GoingOver, files_of
 
-from agents.area_files.split_digest import find_identity
 from agents.protocol.quality import GOOD
 
 WHAT = ("other cuts", "other network")
@@ -37,7 +36,7 @@ def assert_stays(system: GoingOver, *, scans: int = 2, note: str = "") -> None:
     """All areas stay on the old split and good; each has a remark that begins with ``note``."""
     system.scan(scans)
     for state in system.bus.states.values():
-        assert (state.quality, state.split) == (GOOD, find_identity(system.old[0])), state.notes
+        assert (state.quality, state.split) == (GOOD, system.old[0].identity), state.notes
         assert any(remark.startswith(note) for remark in state.notes) or not note, state.notes
 
 
@@ -46,7 +45,7 @@ def assert_stays(system: GoingOver, *, scans: int = 2, note: str = "") -> None:
 def test_all_areas_go_over_with_the_scan_after_the_one_in_which_all_hold_the_next_file(what: str, loss: float):
     system = at_rest(what, loss=loss)
     for k, name in enumerate(AREAS):
-        assert {state.split for state in system.bus.states.values()} == {find_identity(system.old[0])}
+        assert {state.split for state in system.bus.states.values()} == {system.old[0].identity}
         system.bus.offer(name, system.file(name))
         system.scan()
         if k < len(AREAS) - 1:
@@ -86,7 +85,7 @@ def test_an_area_cut_off_before_all_hold_their_files_keeps_all_on_the_old_split(
     cut_off(system, HUB, True)
     system.bus.offer(HUB, system.file(HUB))
     system.scan(6)
-    assert {state.split for state in system.bus.states.values()} == {find_identity(system.old[0])}
+    assert {state.split for state in system.bus.states.values()} == {system.old[0].identity}
     cut_off(system, HUB, False)
     assert_over(system, scans=6)
 
@@ -101,7 +100,7 @@ def test_of_two_next_splits_neither_is_taken_and_both_are_named():
     system = at_rest("other cuts", *OTHERS)
     third = files_of(NEXT["other network"], 60.0)
     system.bus.offer(HUB, next(content for content in third if content.area.name == HUB))
-    assert_stays(system, note=f"the file of the next {find_identity(third[0])} lies ready in 1 of {len(AREAS)} areas")
+    assert_stays(system, note=f"the file of the next {third[0].identity} lies ready in 1 of {len(AREAS)} areas")
     assert_stays(system, note=f"the file of the next {system.split} lies ready in {len(OTHERS)} of {len(AREAS)} areas")
     system.bus.offer(HUB, system.file(HUB))
     assert_over(system, scans=2)
@@ -112,7 +111,7 @@ def test_an_edited_next_file_is_none_and_is_named_in_its_area():
     edited = replace(system.file(HUB), tolerance=1e-7)
     system.bus.offer(HUB, edited)
     assert_stays(system, note=f"the file of the next {system.split} lies ready in {len(OTHERS)} of {len(AREAS)} areas")
-    assert any(f"{find_identity(edited)} cannot be used" in note for note in system.bus.states[HUB].notes)
+    assert any(f"{edited.identity} cannot be used" in note for note in system.bus.states[HUB].notes)
     system.bus.offer(HUB, system.file(HUB))
     assert_over(system, scans=2)
 
@@ -129,7 +128,7 @@ def test_an_area_that_comes_late_with_only_the_old_file_is_waited_for():
     system = at_rest("other cuts", *OTHERS)
     system.kill(HUB)
     system.scan(4)
-    assert {s.split for s in system.bus.states.values()} == {find_identity(system.old[0])}
+    assert {s.split for s in system.bus.states.values()} == {system.old[0].identity}
     system.bus.start(HUB)
     assert_stays(system, scans=3)
     system.bus.offer(HUB, system.file(HUB))
@@ -192,9 +191,7 @@ def test_after_any_history_of_faults_all_areas_are_good_on_the_next_split_and_no
         name = str(rng.choice(AREAS))
         match rng.choice(["offer", "offer", "offer", "take away", "kill", "start", "cut", "heal"]):
             case "offer":
-                system.bus.offer(
-                    name, system.file(name) if find_identity(system.bus.files[name]) != system.split else None
-                )
+                system.bus.offer(name, system.file(name) if system.bus.files[name].identity != system.split else None)
             case "take away":
                 system.bus.offer(name, None)
             case "kill":
@@ -214,7 +211,7 @@ def test_after_any_history_of_faults_all_areas_are_good_on_the_next_split_and_no
         cut_off(system, name, False)
         if name in dead:
             system.bus.start(name)
-        if find_identity(system.bus.files[name]) != system.split:
+        if system.bus.files[name].identity != system.split:
             system.bus.offer(name, system.file(name))
     for _ in range(12):
         system.scan()

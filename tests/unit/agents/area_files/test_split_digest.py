@@ -11,7 +11,8 @@ import pytest
 
 from agents.area_files.area_file import AreaFile, save_area_file
 from agents.area_files.reader import load_area_file
-from agents.area_files.split_digest import LEFT_OUT, find_identity, stamp_split
+from agents.area_files.split_digest import stamp_split
+from agents.protocol.configuration_digest import LEFT_OUT
 from coordinator.deployment.split import area_files
 from dsse_core.errors import InvalidInputError
 from dsse_core.split_identity import NO_SPLIT, SplitIdentity
@@ -35,15 +36,15 @@ def edit(path: Path, change: Any) -> SplitIdentity:
     table = json.loads(path.read_text())
     change(table)
     path.write_text(json.dumps(table))
-    return find_identity(load_area_file(path))
+    return load_area_file(path).identity
 
 
 def test_the_same_scenario_gives_the_same_split_on_any_machine_at_any_time():
     """The digest was noted once; it changes with what an area file says, and then all files are split anew."""
-    first, *others = [find_identity(content) for content in files_of()]
+    first, *others = [content.identity for content in files_of()]
     assert first.is_sound
     assert all(other == first for other in others)
-    (later,) = {find_identity(content) for content in area_files(load_scenario("ieee33"), "other", WHERE[1], time=0.0)}
+    (later,) = {content.identity for content in area_files(load_scenario("ieee33"), "other", WHERE[1], time=0.0)}
     assert later == first
     assert first.digest == "88cb729714d21bf1"
 
@@ -55,7 +56,7 @@ def test_a_file_that_is_read_is_of_the_split_that_wrote_it(tmp_path: Path, name:
         path = tmp_path / f"{content.area.name}{suffix}"
         save_area_file(path, content)
         read = load_area_file(path)
-        assert find_identity(read) == find_identity(content)
+        assert read.identity == content.identity
         assert read.split is not None
         assert content.split is not None
         assert read.split.time == content.split.time
@@ -91,7 +92,7 @@ def test_every_other_key_of_a_file_enters_its_digest(saved: Path):
         inner[last] = altered(inner[last])
         saved.write_text(json.dumps(table))
         try:
-            changed[place] = not find_identity(load_area_file(saved)).is_sound
+            changed[place] = not load_area_file(saved).identity.is_sound
         except InvalidInputError:  # such a file cannot be: no agent starts with it
             continue
     unseen = {".".join(step for step in place if isinstance(step, str)) for place, seen in changed.items() if not seen}
@@ -131,7 +132,7 @@ def altered(value: Any) -> Any:
 def test_another_rule_of_standard_deviations_is_another_split():
     files = files_of()
     one, other = (stamp_split(files, 0.0, {"floor": floor})[0] for floor in (1e-3, 2e-3))
-    assert find_identity(one) != find_identity(other)
+    assert one.identity != other.identity
 
 
 def test_minus_zero_and_whole_numbers_are_the_numbers_that_files_give_back():
@@ -140,7 +141,7 @@ def test_minus_zero_and_whole_numbers_are_the_numbers_that_files_give_back():
     first, *rest = network.branches
     for zero in (0.0, 0, -0.0):
         same = replace(network, branches=(replace(first, g=zero, shift=zero), *rest))
-        assert find_identity(replace(content, area=replace(content.area, network=same))) == find_identity(content)
+        assert replace(content, area=replace(content.area, network=same)).identity == content.identity
 
 
 def test_a_file_without_a_split_is_read_and_has_none(saved: Path):

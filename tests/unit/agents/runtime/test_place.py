@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from agents.area_files.area_file import AreaFile
-from agents.area_files.split_digest import find_identity, stamp_split
+from agents.area_files.split_digest import stamp_split
 from agents.messages.keys import live_key, split_of
 from agents.messages.packing import Incarnation
 from agents.runtime.duplicate_guard import OVERLAP_S, ReplacedError
@@ -35,7 +35,7 @@ class Bus:
 
     def __init__(self, file: AreaFile | None, until: float) -> None:
         self.now, self._until = 0.0, until
-        split = find_identity(file) if file else NO_SPLIT
+        split = file.identity if file else NO_SPLIT
         self._token = live_key("run", "area", "area1", Incarnation(5, 7), split)
 
     def find_presence(self, key_expression: str, timeout_s: float) -> Sequence[str]:
@@ -57,7 +57,7 @@ def take(content: AreaFile, running: AreaFile | None, until: float = 1e9, follow
 def test_a_process_with_a_newer_file_keeps_its_place_and_both_files_are_named(given: AreaFile, running: AreaFile):
     with pytest.raises(ReplacedError) as caught:
         take(given, running)
-    assert all(str(find_identity(content)) in str(caught.value) for content in (given, running))
+    assert all(str(content.identity) in str(caught.value) for content in (given, running))
     assert "--older-file" in str(caught.value)
 
 
@@ -79,7 +79,7 @@ def test_the_token_of_a_process_that_was_killed_is_waited_for():
 
 @pytest.mark.parametrize("content", [OLD, NEW, EDITED])
 def test_a_token_states_the_split(content: AreaFile):
-    split = find_identity(content)
+    split = content.identity
     found = split_of(live_key("run", "area", "area1", Incarnation(5, 7), split))
     assert str(found) == str(split)
     assert (found.digest, found.time) == (split.digest, split.time)

@@ -14,7 +14,6 @@ import pytest
 from click.testing import CliRunner
 
 from agents.area_files.reader import load_area_file
-from agents.area_files.split_digest import find_identity
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation, TelemetryMessage, decode
 from agents.orders.order_book import OrderBook
@@ -84,7 +83,7 @@ def test_a_plant_states_the_split_of_its_scenario_which_its_area_files_are_of(is
     scans = MadeScan.of(scenario, make_telemetry(scenario)) if is_made else OwnScans(scenario, many=True)
     splits = {decode(payload).split for payload in scans.payloads("run", Incarnation(1, 0), 1).values()}  # type: ignore[union-attr]
     files = area_files(scenario, "another", ["tcp/192.0.2.7:7447"])
-    assert splits == {scans.split} == {find_identity(content) for content in files}
+    assert splits == {scans.split} == {content.identity for content in files}
 
 
 def test_virtual_measurements_are_not_sent_because_area_files_hold_them(tmp_path: Path):

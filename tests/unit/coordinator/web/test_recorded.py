@@ -10,7 +10,6 @@ import pytest
 from recordings import AT, ME, RUN, appeared, entry_of, load_areas_of, make_readings, make_state
 from served import client
 
-from agents.area_files.split_digest import find_identity
 from agents.messages.keys import live_key
 from coordinator.recording import rows
 from coordinator.recording.closing import close_ended
@@ -25,7 +24,7 @@ from scenarios.scenario import load_scenario
 
 AREAS = load_areas_of()
 SCANS = 4
-SPLIT = find_identity(AREAS[0])
+SPLIT = AREAS[0].identity
 EDITED = "9f8e7d6c5b4a3928"
 
 
