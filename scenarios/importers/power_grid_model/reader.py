@@ -7,7 +7,7 @@ documentation, "Components": pi models whose series impedance stands at the to s
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,7 +40,7 @@ from scenarios.importers.power_grid_model.data import (
     rows,
     working_sources,
 )
-from scenarios.importers.power_grid_model.sensors import Conversion, read_sensors
+from scenarios.importers.power_grid_model.sensors import Conversion, find_metered_branches, read_sensors
 
 BASE_VA = 1e6
 IN_PARALLEL = "links join its two ends, it carries nothing; what it draws stays as a shunt"
@@ -100,10 +100,12 @@ def _convert(name: str, data: Data, frequency_hz: float, *, measured: bool) -> t
         raise InvalidInputError(name, problems)
     closed = [link for link in rows(data, "link") if link["from_status"] and link["to_status"]]
     bus_of = fuse(kv, ((int(link["from_node"]), int(link["to_node"])) for link in closed))
-    branches, branch_of, shunts = _build_branches(data, kv, bus_of, frequency_hz)
+    metered = find_metered_branches(data) if measured else frozenset()
+    branches, branch_of, shunts, open_ends = _build_branches(data, kv, bus_of, frequency_hz, metered)
     for node, shunt in _find_shunts(data, kv, measured=measured):
         shunts.setdefault(bus_of[node], []).append(shunt)
     buses, generators = _build_buses(data, kv, bus_of, measured=measured)
+    buses += open_ends.values()
     source_bus, source_branch, slack = _build_source(data, kv, bus_of)
     if source_bus and source_branch:
         buses.append(source_bus)
@@ -117,7 +119,12 @@ def _convert(name: str, data: Data, frequency_hz: float, *, measured: bool) -> t
         generators=(slack, *generators),
     )
     network, island_remarks = leave_out_islands(network)
-    remarks = [*fused_remarks(bus_of, "links"), *island_remarks, *_find_open_ends(data), *_find_loops(data, bus_of)]
+    remarks = [
+        *fused_remarks(bus_of, "links"),
+        *island_remarks,
+        *_find_open_ends(data, open_ends),
+        *_find_loops(data, bus_of),
+    ]
     remarks += _find_unused(data)
     if source_branch:
         text = f"bus {source_branch.from_bus} is new: the inside of the source at bus {source_branch.to_bus}"
@@ -141,10 +148,15 @@ def _find_problems(data: Data, *, measured: bool) -> Iterator[str]:
             yield f"{name} {ids(bad)}: constant current, which the network model cannot hold; make it constant power"
 
 
-def _find_open_ends(data: Data) -> Iterator[Remark]:
+def _find_open_ends(data: Data, open_ends: Mapping[int, Bus]) -> Iterator[Remark]:
+    """``open_ends``: of the branches that stay, with the bus at the open end."""
     branches = list(_all_branches(data))
-    if half := [b for b in branches if bool(b["from_status"]) != bool(b["to_status"])]:
-        yield Remark("changed", f"branch {ids(half)}: open at one end, written as the shunt that it is")
+    half = [b for b in branches if bool(b["from_status"]) != bool(b["to_status"])]
+    if folded := [b for b in half if int(b["id"]) not in open_ends]:
+        yield Remark("changed", f"branch {ids(folded)}: open at one end, written as the shunt that it is")
+    for component, bus in open_ends.items():
+        text = f"open at one end and metered, kept as a branch to bus {bus.id}, where nothing is injected"
+        yield Remark("changed", f"branch {component}: {text}")
     if off := [b for b in branches if not b["from_status"] and not b["to_status"]]:
         yield Remark("left out", f"branch {ids(off)}: open at both ends")
 
@@ -170,11 +182,15 @@ def _all_branches(data: Data) -> Iterator[Any]:
 
 
 def _build_branches(
-    data: Data, kv: dict[int, float], bus_of: dict[int, int], frequency_hz: float
-) -> tuple[list[Branch], dict[int, str], dict[int, list[complex]]]:
-    """The branches between buses, their ids by component, and the shunts that the others are (by bus)."""
+    data: Data, kv: dict[int, float], bus_of: dict[int, int], frequency_hz: float, metered: frozenset[int]
+) -> tuple[list[Branch], dict[int, str], dict[int, list[complex]], dict[int, Bus]]:
+    """The branches between buses, their ids by component, and the shunts that the others are (by bus).
+
+    Of branches with an open end the ``metered`` ones stay, each with a bus of its own at that end (by component).
+    """
     taken: set[str | None] = set()
     branches, branch_of = [], {}
+    open_ends: dict[int, Bus] = {}
     shunts: dict[int, list[complex]] = {}
     for name in BUILDERS:
         for component in rows(data, name):
@@ -182,14 +198,19 @@ def _build_branches(
                 continue
             nodes = int(component["from_node"]), int(component["to_node"])
             ends = bus_of[nodes[0]], bus_of[nodes[1]]
+            is_open = bool(component["from_status"]) != bool(component["to_status"])
+            if is_open and int(component["id"]) in metered:
+                new, open_node = max(kv) + 2 + len(open_ends), nodes[1] if component["from_status"] else nodes[0]
+                open_ends[int(component["id"])] = Bus(new, kv[open_node], name=f"open end of {component['id']}")
+                ends, is_open = (ends[0], new) if component["from_status"] else (new, ends[1]), False
             branch_id = default_branch_id(*ends, taken)
             kv_of_ends = kv[nodes[0]], kv[nodes[1]]
             pi = BUILDERS[name](component, *kv_of_ends, frequency_hz)
             rated = find_rating(name, component, *kv_of_ends)
             branch = Branch(branch_id, ends[0], ends[1], **pi._asdict(), **rated)
-            if component["from_status"] and component["to_status"] and ends[0] == ends[1]:
+            if not is_open and ends[0] == ends[1]:
                 shunts.setdefault(ends[0], []).append(loop_shunt(branch))
-            elif component["from_status"] and component["to_status"]:
+            elif not is_open:
                 taken.add(branch_id)
                 branches.append(branch)
                 branch_of[int(component["id"])] = branch_id
@@ -197,7 +218,7 @@ def _build_branches(
                 connected = nodes[0] if component["from_status"] else nodes[1]
                 alone = replace(branch, from_bus=nodes[0], to_bus=nodes[1])
                 shunts.setdefault(bus_of[connected], []).append(open_end_shunt(alone, connected))
-    return branches, branch_of, shunts
+    return branches, branch_of, shunts, open_ends
 
 
 def _find_shunts(data: Data, kv: dict[int, float], *, measured: bool) -> Iterator[tuple[int, complex]]:

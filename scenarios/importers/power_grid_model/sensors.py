@@ -80,6 +80,13 @@ class _Reader:
         return frozenset(network.branch(branch_of[source]).to_bus for source in sources if source in branch_of)
 
 
+def find_metered_branches(data: Data) -> frozenset[int]:
+    """The branch components that have a sensor of power or current at an end."""
+    sensors = [*rows(data, "sym_power_sensor"), *rows(data, "sym_current_sensor")]
+    ends = (BRANCH_FROM, BRANCH_TO)
+    return frozenset(int(s["measured_object"]) for s in sensors if int(s["measured_terminal_type"]) in ends)
+
+
 def read_sensors(what: str, conversion: Conversion) -> tuple[tuple[Measurement, ...], list[Remark]]:
     """The readings of a converted network, one for each meter, and what was made of the other sensors.
 

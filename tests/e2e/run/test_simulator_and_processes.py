@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import csv
+import random
 from pathlib import Path
 
 import numpy as np
 import pytest
+from drawn_files import draw_scenario
 from waiting import DEADLINE_S
 
 import coordinator
@@ -28,6 +30,18 @@ def test_the_simulator_ends_where_real_processes_do(name: str, tmp_path: Path):
     assert real.verdict.gap_vm_pu == pytest.approx(simulator.verdict.gap_vm_pu, abs=1e-8)
     assert real.verdict.gap_va_deg == pytest.approx(simulator.verdict.gap_va_deg, abs=np.degrees(1e-8))
     assert (real.verdict.virtual_s, simulator.verdict.virtual_s is None) == (None, False)
+
+
+@pytest.mark.random_cases(few=1, many=50)
+def test_what_files_allow_ends_alike_on_the_simulator_and_on_processes(random_seed: int, tmp_path: Path):
+    draw_scenario(tmp_path, random.Random(random_seed))
+    drawn = tmp_path / "drawn.toml"
+    real = coordinator.run(drawn, out=tmp_path / "real", plots=False, timeout_s=DEADLINE_S)
+    simulated = coordinator.simulate(drawn, out=tmp_path / "simulated", plots=False)
+    for found in (real, simulated):
+        assert found.verdict.consensus
+        assert {area.name: dict(area.rejected) for area in found.area_results if area.rejected} == {}
+    np.testing.assert_allclose(real.comparison.decentralised.vm, simulated.comparison.decentralised.vm, atol=1e-8)
 
 
 def test_compare_runs_real_processes_too(dsse, tmp_path: Path):

@@ -13,6 +13,7 @@ from power_grid_model_grids import (
     NODE,
     NODES,
     SHUNT,
+    Data,
     imported,
     measured_grid,
     pgm,
@@ -24,6 +25,7 @@ from power_grid_model_grids import (
 
 from dsse_core.estimation.estimator import estimate_state
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from scenarios.importers import Imported
 
 
 @pytest.mark.parametrize("stiff", [False, True])
@@ -31,17 +33,46 @@ def test_the_estimate_from_the_sensors_is_that_of_newton_raphson(tmp_path: Path,
     data = measured_grid(stiff=stiff)
     if stiff:  # the source is an injection at node 1 then
         data["source"]["u_ref_angle"] = 0.0
+    check_estimate(imported(tmp_path, data), data)
+
+
+@pytest.mark.parametrize("terminal", [BRANCH_FROM, BRANCH_TO])
+def test_a_line_open_at_one_end_keeps_the_sensor_at_the_other(tmp_path: Path, terminal: int) -> None:
+    """power-grid-model leaves it out. It moves no estimate here: it reads what the others make of it."""
+    data = measured_grid()
+    line = data["line"]["id"] == 33  # from node 4, where it is closed, to node 8
+    if terminal == BRANCH_TO:
+        data["line"]["from_node"][line], data["line"]["to_node"][line] = 8, 4
+        data["line"]["from_status"][line], data["line"]["to_status"][line] = 0, 1
+    extra = data["sym_power_sensor"][:1].copy()
+    extra["id"], extra["measured_object"], extra["measured_terminal_type"] = 300, 33, terminal
+    extra["p_measured"], extra["q_measured"] = power_at(estimate_there(data), 33, terminal)
+    data["sym_power_sensor"] = np.concatenate([data["sym_power_sensor"], extra])
     grid = imported(tmp_path, data)
+    (new,) = set(grid.network.row) - set(imported(tmp_path, measured_grid()).network.row)
+    assert isinstance(grid.zero_injection, tuple)
+    assert new in grid.zero_injection
+    assert {m.meter.bus for m in grid.readings if m.meter.branch and str(new) in m.meter.branch} == {4}
+    text = f"branch 33: open at one end and metered, kept as a branch to bus {new}, where nothing is injected"
+    assert text in {remark.text for remark in grid.remarks}
+    check_estimate(grid, data)
+
+
+def estimate_there(data: Data) -> Data:
+    found: Data = pgm.PowerGridModel(data).calculate_state_estimation(
+        error_tolerance=1e-13, max_iterations=100, calculation_method=pgm.CalculationMethod.newton_raphson
+    )
+    return found
+
+
+def check_estimate(grid: Imported, data: Data) -> None:
     assert isinstance(grid.zero_injection, tuple)
     kinds = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
     virtual = [
         Measurement(Meter(k, bus, source=Source.VIRTUAL), 0.0, 0.0) for bus in grid.zero_injection for k in kinds
     ]
     result = estimate_state(grid.network, [*grid.readings, *virtual], tolerance=1e-12)
-    theirs = pgm.PowerGridModel(data).calculate_state_estimation(
-        error_tolerance=1e-13, max_iterations=100, calculation_method=pgm.CalculationMethod.newton_raphson
-    )
-    rows, vm, va = voltages_there(grid, theirs)
+    rows, vm, va = voltages_there(grid, estimate_there(data))
     np.testing.assert_allclose(result.vm[rows], vm, rtol=0, atol=1e-6)
     turned = np.exp(1j * (result.va[rows] - result.va[rows[0]] - va + va[0]))
     np.testing.assert_allclose(turned, 1, rtol=0, atol=1e-6)
