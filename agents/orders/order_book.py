@@ -66,8 +66,10 @@ class OrderBook:
         return cls(content.area.name, content.run, meters, file)
 
     def go_over(self, content: Configuration) -> OrderBook:
-        """That of the same area with other meters."""
-        return OrderBook.of(content, self._file)
+        """That of the same area with other meters: what has been followed holds."""
+        book = OrderBook.of(content)
+        book._file, book._followed = self._file, self._followed
+        return book
 
     def begin(self) -> list[Event]:
         """What was ordered before the process began, and still holds."""

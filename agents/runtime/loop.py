@@ -43,6 +43,7 @@ from agents.protocol.events import (
     Offered,
     PresenceChanged,
     Publish,
+    StopRequested,
 )
 from agents.runtime.duplicate_guard import GIVES_WAY, DuplicateGuard, ReplacedError
 from agents.runtime.heap import Heap
@@ -185,6 +186,9 @@ def _run_configuration(
                 case Conclude():
                     process.changes.take(action, now)
                 case GoOver(configuration):
+                    for event in events:  # whatever came beside it is repeated by its sender, but not this
+                        if isinstance(event, StopRequested):
+                            inbox.put("stop", event)
                     return configuration
                 case Finish(reason):
                     send_leave(reason.encode())
