@@ -7,8 +7,9 @@ import itertools
 import os
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
+from coordinator.recording.parquet_pages import read_pages
 from coordinator.recording.row_checks import RowCheck
 from coordinator.recording.rows import COLUMNS, INTEGER, NUMBER, TEXT, TEXTS, TIME, TRUTH, Row
 from dsse_core.errors import InvalidInputError
@@ -96,7 +97,7 @@ def read_rows(path: Path, columns: Sequence[str], added: Collection[str] = ()) -
             about = parquet.read_metadata(opened, memory_map=False)
             lacking = {*added} - {*about.schema.to_arrow_schema().names}
             wanted = [name for name in columns if name not in lacking]
-            _check_contents(pyarrow, path, about, wanted)
+            _check_contents(pyarrow, path, about, wanted, opened)
             texts = [leaf.path for leaf in _leaves(about, wanted) if str(leaf.logical_type) == "String"]
             opened.seek(0)
             check = RowCheck(path, path.parent.name, columns)
@@ -121,8 +122,9 @@ def _leaves(about: Any, wanted: Collection[str]) -> list[Any]:
     return [column for column in columns if column.path.partition(".")[0] in wanted]
 
 
-def _check_contents(pyarrow: Any, path: Path, about: Any, wanted: Collection[str]) -> None:
-    """That the columns ``wanted`` are there, are of their types, and fit into memory, by the file's list of contents.
+def _check_contents(pyarrow: Any, path: Path, about: Any, wanted: Collection[str], opened: BinaryIO) -> None:
+    """That the columns ``wanted`` are there, are of their types, and fit into memory, by the file's list of contents
+    and the headers of its pages.
 
     Raises:
         InvalidInputError: they are not.
@@ -142,25 +144,37 @@ def _check_contents(pyarrow: Any, path: Path, about: Any, wanted: Collection[str
         cure = "record with --limit-gb, by which segments are shorter"
         problems.append(f"has {about.num_rows:,} rows, the limit is {MOST_ROWS:,}; {cure}")
     if not problems:
-        problems += _find_large_groups(about, wanted)
+        problems += _find_large_groups(about, wanted, opened)
     if problems:
         raise InvalidInputError(str(path), [f"is no table of a recording that can be read: {'; '.join(problems)}"])
 
 
-def _find_large_groups(about: Any, wanted: Collection[str]) -> Iterator[str]:
-    """What of a file's row groups is too large, the first of them."""
+def _find_large_groups(about: Any, wanted: Collection[str], opened: BinaryIO) -> Iterator[str]:
+    """What of a file's row groups is too large, the first of them.
+
+    Raises:
+        ValueError: there are no pages where the list of contents says so.
+    """
     leaves = {leaf.path for leaf in _leaves(about, wanted)}
     for k in range(about.num_row_groups):
         group = about.row_group(k)
-        chunks = [chunk for j in range(group.num_columns) if (chunk := group.column(j)).path_in_schema in leaves]
-        size = sum(chunk.total_uncompressed_size for chunk in chunks)
-        most = max((chunk.num_values for chunk in chunks), default=0)
-        if size > LARGEST_GROUP:
-            yield f"row group {k + 1} has {size:,} bytes when it is unpacked, the limit is {LARGEST_GROUP:,}"
-            return
-        if most > MOST_ROWS:
-            yield f"row group {k + 1} has {most:,} values in a column, the limit is {MOST_ROWS:,}"
-            return
+        size = most = 0
+        for chunk in map(group.column, range(group.num_columns)):
+            if chunk.path_in_schema not in leaves:
+                continue
+            begin = chunk.data_page_offset
+            if chunk.has_dictionary_page:
+                begin = min(begin, chunk.dictionary_page_offset)
+            values = 0
+            for page in read_pages(opened, begin, begin + chunk.total_compressed_size):
+                size, values = size + page.size, values + page.values
+                most = max(most, values)
+                if size > LARGEST_GROUP:
+                    yield f"row group {k + 1} has more than {LARGEST_GROUP:,} bytes when it is unpacked"
+                    return
+                if most > MOST_ROWS:
+                    yield f"row group {k + 1} has more than {MOST_ROWS:,} values in a column"
+                    return
 
 
 def sync_path(path: Path) -> None:
