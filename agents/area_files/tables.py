@@ -65,7 +65,8 @@ class ExchangeTable(Table):
     entry_vm: Positive = Field(description="voltage in p.u. where the area begins, seen from the substation")
     entry_va: float = Field(description="angle there in rad")
     no_load: Annotated[tuple[NoLoad, ...], Field(strict=False)] = Field(
-        default=(), description="[bus, vm, va] in the unloaded grid, where two areas meet at several buses"
+        default=(),
+        description="[bus, vm, va] of boundary buses in the unloaded grid, if taps do not cancel around loops",
     )
 
 

@@ -16,6 +16,8 @@ from dsse_core.grid.columns import Records, split_by, take_items
 from dsse_core.grid.network import Bus, Control, Generator, Network
 from dsse_core.grid.partition import Area, Neighbour, Partition
 
+SAME_VOLTAGE = 1e-9  # p.u. and rad, of an unloaded bus; rounding leaves 1e-13
+
 
 def build_partition(
     network: Network,
@@ -93,19 +95,29 @@ def _with_schedule(partition: Partition) -> Partition:
     assert network.slack is not None  # checked by _find_bus_problems
     vm, va = find_no_load(network, network.slack.bus)
     unloaded = {bus: (float(vm[row]), float(va[row]) + network.slack.va) for bus, row in network.row.items()}
+    table = network.table
+    has_loops = len(table.active) >= len(table.bus_id)
+    may_differ = has_loops and bool((table.tap != 1.0).any() or (table.shift != 0.0).any())
     areas = []
     for area in partition.areas:
-        rings = dict.fromkeys(bus for b in area.boundaries.values() if len(b.buses) > 1 for bus in b.buses)
-        areas.append(
-            replace(
-                area,
-                towards_hub=towards[area.name],
-                n_areas=len(partition.areas),
-                entry_voltage=unloaded[area.entry_bus],
-                no_load=tuple((bus, *unloaded[bus]) for bus in rings),
-            )
+        scheduled = replace(
+            area,
+            towards_hub=towards[area.name],
+            n_areas=len(partition.areas),
+            entry_voltage=unloaded[area.entry_bus],
         )
+        given = scheduled.boundary_buses if may_differ and _is_apart(scheduled, unloaded) else ()
+        areas.append(replace(scheduled, no_load=tuple((bus, *unloaded[bus]) for bus in given)))
     return Partition(network, tuple(areas))
+
+
+def _is_apart(area: Area, unloaded: Mapping[int, tuple[float, float]]) -> bool:
+    """Whether an area that knows its entry voltage alone finds other voltages than the ``unloaded`` grid has.
+
+    So it does where taps or shifts do not cancel around a loop, in the area or through it.
+    """
+    expected = np.array([unloaded[bus.id] for bus in area.network.buses])
+    return bool(abs(np.column_stack(area.find_no_load()) - expected).max() > SAME_VOLTAGE)
 
 
 def _find_ways(partition: Partition, hub: str) -> dict[str, str | None]:

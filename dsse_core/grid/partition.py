@@ -45,8 +45,8 @@ class Area:
     in the network of its owner. ``slack_bus`` is where the local power flow holds the voltage; ``slack_vm``
     its set-point in p.u., None when it is the voltage that the parent publishes for that bus. ``reference``:
     bus and angle (rad) of the substation, in every area that sees it. ``entry_voltage``: (vm, va), p.u. and rad, of
-    ``entry_bus`` in the unloaded grid. ``no_load``: (bus, vm, va) of the boundary buses in rings there, which the area
-    alone does not know, as taps need not cancel around a ring.
+    ``entry_bus`` in the unloaded grid. ``no_load``: (bus, vm, va) of the boundary buses there, where taps
+    do not cancel around a loop: then the area alone would find others.
     """
 
     name: str
