@@ -74,7 +74,7 @@ def collect_readings(states: States, readings: ReadingsByArea) -> Columns:
         numbers["normalised_residual"] += (*used.normalised, *unknown, *gap)
         numbers["age_s"] += (used.taken_at - np.array(used.times, dtype=float)).clip(0.0).tolist() + gap
     found = {name: np.array(column, dtype=float) for name, column in numbers.items()}
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # of a hostile area
         found["residual_in_sigmas"] = (found["reading"] - found["estimate"]) / found["sigma"]
     return {**texts, **found}
 
@@ -164,7 +164,8 @@ class GridTables:
         status = plain["status"] if rows.are_all else [plain["status"][k] for k in rows.known.tolist()]
         silent = [SILENT if area in readings else UNKNOWN for area in rows.silent_areas]
         sized = "reading", "sigma", "estimate"
-        scaled = {name: np.concatenate([plain[name][rows.known] * rows.size, gap]) for name in sized}
+        with np.errstate(over="ignore"):
+            scaled = {name: np.concatenate([plain[name][rows.known] * rows.size, gap]) for name in sized}
         relative = {name: np.concatenate([plain[name][rows.known], gap]) for name in RELATIVE}
         return {**rows.columns, "status": status + silent, **scaled, **relative}
 

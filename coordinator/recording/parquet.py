@@ -162,9 +162,8 @@ def _find_large_groups(about: Any, wanted: Collection[str], opened: BinaryIO) ->
         for chunk in map(group.column, range(group.num_columns)):
             if chunk.path_in_schema not in leaves:
                 continue
-            begin = chunk.data_page_offset
-            if chunk.has_dictionary_page:
-                begin = min(begin, chunk.dictionary_page_offset)
+            places = (chunk.data_page_offset, chunk.dictionary_page_offset if chunk.has_dictionary_page else 0)
+            begin = min(filter(None, places), default=0)  # without rows there is a dictionary alone
             values = 0
             for page in read_pages(opened, begin, begin + chunk.total_compressed_size):
                 size, values = size + page.size, values + page.values

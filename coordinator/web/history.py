@@ -42,7 +42,8 @@ class Series:
         if self._ids != (ids := tuple(ids)):
             self._ids, self._place = ids, {name: k for k, name in enumerate(ids)}
             cost = BYTES_OF_ID * len(ids)
-        values = np.array([columns[name] for name in self.columns], dtype=np.float32)
+        with np.errstate(over="ignore"):  # of a hostile area
+            values = np.array([columns[name] for name in self.columns], dtype=np.float32)
         moment = _Moment(time, self._place, values, cost + values.nbytes)
         self._moments.append(moment)
         self.bytes += moment.bytes

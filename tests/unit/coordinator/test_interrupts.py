@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from dsse_command import ENVIRONMENT, ROOT
 
 from coordinator.interrupts import ENDS
 from coordinator.process_run.processes import describe_end
@@ -62,7 +63,8 @@ print("goes on")
 
 
 def run(program: str) -> str:
-    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    command = [sys.executable, "-c", program]
+    return subprocess.run(command, env=ENVIRONMENT, cwd=ROOT, capture_output=True, text=True, check=True).stdout
 
 
 def test_all_signals_that_end_a_process_by_default_end_a_command_in_order() -> None:

@@ -309,6 +309,25 @@ TABLE_KINDS: Mapping[str, tuple[str, Change, str]] = {
 }
 
 
+HOSTILE_KINDS: Mapping[str, tuple[str, Change]] = {
+    "reading": ("readings", _set("value", -1.7e308)),
+    "sigma": ("readings", _set("sigma", 1e308)),
+    "sigma of nothing": ("readings", _set("sigma", 0.0)),
+    "estimate": ("readings", _set("estimate", 1.7e308, 0)),
+    "residual": ("readings", _set("normalised_residual", -1.7e308, 0)),
+    "unknown meter": ("readings", _set("meter", "\x1b[2J")),
+    "voltage": ("buses", _set("vm_pu", 1.7e308)),
+    "angle": ("buses", _set("va_deg", -1.7e308)),
+    "unknown bus": ("buses", _set("bus", -(10**15))),
+    "quality": ("states", _set("quality", "splendid\x1b[2J")),
+    "age": ("states", _set("telemetry_age_s", -1e308)),
+    "objective": ("states", _set("objective", -1e308)),
+    "message at the end of time": ("states", _set("time", 253_402_300_799_000_000)),
+    "message before all others": ("states", _set("time", -62_135_596_800_000_000)),
+}
+"""Kinds that are well formed, and nothing that an honest area says."""
+
+
 # Whole files
 
 

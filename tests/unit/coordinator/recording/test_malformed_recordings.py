@@ -6,15 +6,18 @@ import re
 import shutil
 import subprocess
 import sys
+import warnings
 import zlib
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from dsse_command import ENVIRONMENT, ROOT
 from malformed import (
     BOMBS,
     FILE_KINDS,
+    HOSTILE_KINDS,
     LOG_KINDS,
     REFUSED_KINDS,
     SCANS,
@@ -34,6 +37,7 @@ from coordinator.recording.row_checks import TYPES
 from coordinator.recording.rows import COLUMNS
 from coordinator.replay import ticks
 from coordinator.replay.play import play_on_simulator
+from coordinator.replay.replay import _find_hole
 from coordinator.replay.ticks import Tick, read_ticks
 from coordinator.web.playback import recorded
 from coordinator.web.playback.recorded import play_recording
@@ -104,6 +108,29 @@ def test_a_malformed_row_is_one_line(tmp_path: Path, good_recordings: dict[bool,
     assert re.search(found, note)
 
 
+def test_a_table_without_rows_is_one(tmp_path: Path, good_recordings: dict[bool, Path]) -> None:
+    folder = shutil.copytree(good_recordings[True], tmp_path / "r")
+    for table in ("readings", "states", "buses", "events"):
+        rewrite(table, lambda rows: rows.slice(0, 0), folder)
+    assert read_all(folder) == ([], set())
+
+
+@pytest.mark.parametrize("kind", HOSTILE_KINDS)
+def test_numbers_that_the_bus_allows_are_played_without_a_warning(
+    tmp_path: Path, good_recordings: dict[bool, Path], kind: str
+) -> None:
+    folder = shutil.copytree(good_recordings[True], tmp_path / "r")
+    rewrite(*HOSTILE_KINDS[kind], folder)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ticks, notes = read_all(folder)
+        assert not notes
+        assert {tick.scan for tick in ticks} >= {*range(1, SCANS + 1)}
+        source = play_recording(folder, None, [])
+        assert all(source.frame(k) for k in range(len(source.times())))
+        assert not any(_find_hole(tick, [*tick.readings]) for tick in ticks if tick.readings)
+
+
 @pytest.mark.parametrize("kind", FILE_KINDS)
 def test_a_file_that_is_none_is_one_line_at_once(tmp_path: Path, good_recordings: dict[bool, Path], kind: str) -> None:
     closed, change, found = FILE_KINDS[kind]
@@ -164,7 +191,8 @@ def test_small_tables_that_expand_to_gigabytes_are_refused_within_200_mib(
         write(path := table_in(folder, table))
         assert path.stat().st_size < 400_000
     command = [sys.executable, "-c", MEASURE, str(good_recordings[True]), *map(str, folders.values())]
-    *notes, grown = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    run = subprocess.run(command, env=ENVIRONMENT, cwd=ROOT, capture_output=True, text=True, check=True)
+    *notes, grown = run.stdout.splitlines()
     for note, (kind, folder) in zip(notes, folders.items(), strict=True):
         table, _, found = BOMBS[kind]
         assert note.startswith(str(table_in(folder, table)))
