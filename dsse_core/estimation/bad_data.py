@@ -15,13 +15,11 @@ from dsse_core.estimation.estimator import EstimationResult, estimate_with_plan,
 from dsse_core.estimation.plan import BackendChoice, EstimationPlan
 from dsse_core.estimation.residuals import (
     CONFIDENCE,
-    CRITICAL_REDUNDANCY,
     DEAD_VM,
     THRESHOLD,
+    MeterChecks,
     chi_square_limit,
     find_dead,
-    normalize_residuals,
-    split_suspects,
 )
 from dsse_core.gauss_newton import LAST_STEP
 from dsse_core.grid.measurement import Measurement, Meter
@@ -89,20 +87,21 @@ class BadDataReport:
         )
 
 
-def find_critical(result: EstimationResult) -> tuple[str, ...]:
-    """Ids of the measurements without redundancy, in the order of ``result``.
-
-    Their residual is zero whatever they read; or it is not, because losses or current magnitudes check them a
-    little, but without them the state is not observable.
-    """
+def check_meters(result: EstimationResult) -> MeterChecks:
+    """Normalised residuals, suspects and critical ones of the estimate's meters."""
     plan = result.plan
-    spared = (result.residual_variance <= CRITICAL_REDUNDANCY * result.sigmas**2) | plan.indispensable
-    return tuple(plan.meters[k].id for k in np.flatnonzero(spared & ~plan.virtual).tolist())
+    of_meters = result.residual, result.residual_variance, result.sigmas, ~plan.virtual
+    return MeterChecks(plan.meters, *of_meters, lambda: plan.indispensable)
+
+
+def find_critical(result: EstimationResult) -> tuple[str, ...]:
+    """Ids of the measurements without redundancy, see ``MeterChecks.critical``."""
+    return check_meters(result).critical
 
 
 def normalized_residuals(result: EstimationResult) -> np.ndarray:
     """|r_i| / sqrt(Omega_ii) (eq. 3.23), shape (n_meas,); 0 for virtual measurements and where Omega_ii is 0."""
-    return normalize_residuals(result.residual, result.residual_variance, result.sigmas, ~result.plan.virtual)
+    return check_meters(result).normalized
 
 
 def process_bad_data(
@@ -197,9 +196,7 @@ def _estimate_without(
 
 def _totals_of(result: EstimationResult, threshold: float) -> Totals:
     """What is to be evaluated: J, and the suspects above ``threshold``."""
-    normalized, meters = normalized_residuals(result), result.plan.meters
-    above = {meters[k].id: float(normalized[k]) for k in np.flatnonzero(normalized > threshold).tolist()}
-    worst, tied = (tuple(found.items()) for found in split_suspects(above, set(find_critical(result))))
+    worst, tied = (tuple(found.items()) for found in check_meters(result).suspects(threshold))
     return Totals(result.objective, result.degrees_of_freedom, worst=worst, tied=tied, areas=1, referenced=True)
 
 

@@ -5,8 +5,9 @@ Rules of areas and centre alike; who applies them is in ``decision``, ``bad_data
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from functools import lru_cache
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -32,13 +33,42 @@ def chi_square_limit(degrees_of_freedom: int, confidence: float) -> float:
     return float(chdtri(degrees_of_freedom, 1 - confidence)) if degrees_of_freedom > 0 else float("inf")
 
 
-def normalize_residuals(residual: np.ndarray, variance: np.ndarray, sigmas: np.ndarray, real: np.ndarray) -> np.ndarray:
-    """|r_i| / sqrt(Omega_ii) (eq. 3.23) of ``residual`` z - h(x) with ``variance`` diag(Omega), (n_meas,) each.
+@dataclass(frozen=True, eq=False)
+class MeterChecks:
+    """Checks of the ``meters`` of an area or of the whole grid by an estimate; arrays (n_meas,).
 
-    0 where a measurement is not ``real`` but virtual, and where Omega_ii is 0.
+    ``residual``: z - h(x); ``variance``: diag(Omega); ``real``: not virtual. ``find_indispensable``: which meters are
+    that at no load, asked for where it counts.
     """
-    telling = real & (variance > CRITICAL_REDUNDANCY * sigmas**2)
-    return np.where(telling, abs(residual) / np.sqrt(np.where(telling, variance, 1.0)), 0.0)
+
+    meters: Sequence[Meter]
+    residual: np.ndarray
+    variance: np.ndarray
+    sigma: np.ndarray
+    real: np.ndarray
+    find_indispensable: Callable[[], np.ndarray]
+
+    @cached_property
+    def normalized(self) -> np.ndarray:
+        """|r_i| / sqrt(Omega_ii) (eq. 3.23); 0 for virtual measurements and where Omega_ii is 0."""
+        telling = self.real & (self.variance > CRITICAL_REDUNDANCY * self.sigma**2)
+        return np.where(telling, abs(self.residual) / np.sqrt(np.where(telling, self.variance, 1.0)), 0.0)
+
+    @cached_property
+    def critical(self) -> tuple[str, ...]:
+        """Ids of the meters without redundancy, in their order.
+
+        Their residual is zero whatever they read; or it is not, because losses or current magnitudes check them a
+        little, but without them the state is not observable.
+        """
+        unchecked = (self.variance <= CRITICAL_REDUNDANCY * self.sigma**2) | self.find_indispensable()
+        return tuple(self.meters[k].id for k in np.flatnonzero(unchecked & self.real).tolist())
+
+    def suspects(self, threshold: float = THRESHOLD) -> tuple[dict[str, float], dict[str, float]]:
+        """Meter -> its normalised residual, of those above ``threshold``, see ``split_suspects``."""
+        above = np.flatnonzero(self.normalized > threshold).tolist()
+        found = {self.meters[k].id: float(self.normalized[k]) for k in above}
+        return split_suspects(found, set(self.critical))
 
 
 def keep_tied(suspects: Mapping[str, float]) -> dict[str, float]:

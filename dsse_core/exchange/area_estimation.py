@@ -15,7 +15,7 @@ import numpy as np
 
 from dsse_core.errors import DsseError
 from dsse_core.estimation.decision import MOST_NAMED, Decision, Memory, Totals, Verdict
-from dsse_core.estimation.residuals import find_dead
+from dsse_core.estimation.residuals import MeterChecks, find_dead
 from dsse_core.exchange.boundary_load import NetLoad, stand_in_as_it_was, stand_in_for
 from dsse_core.exchange.feeder_bad_data import (
     NoLoadModel,
@@ -23,7 +23,6 @@ from dsse_core.exchange.feeder_bad_data import (
     count_freedom,
     find_objective,
 )
-from dsse_core.exchange.meter_checks import estimate_readings, find_critical, find_suspects
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.partition import Area
 from dsse_core.linear import choose_backend
@@ -348,9 +347,8 @@ class AreaEstimation:
 
     def _evaluate(self) -> None:
         """Which meters are critical, and the largest normalised residual of the others."""
-        _, variance = self._variances()
-        self.critical = find_critical(self.model, variance, self.critical)
-        worst, tied = find_suspects(self.model, self.x, variance, self.critical)
+        checks = self._check_meters(self._variances()[1])
+        self.critical, (worst, tied) = checks.critical, checks.suspects()
         self._worst, self._tied = (tuple(sorted(found.items()))[:MOST_NAMED] for found in (worst, tied))
         self.reported |= worst.keys()
 
@@ -363,13 +361,25 @@ class AreaEstimation:
         of_state, variance = self._variances()
         self._omega = variance
         sigma = np.sqrt(np.maximum(of_state, 0.0))
-        return sigma[self._n : 2 * self._n], sigma[: self._n], find_critical(self.model, variance, self.critical)
+        return sigma[self._n : 2 * self._n], sigma[: self._n], self._check_meters(variance).critical
 
     def describe_readings(self) -> dict[str, tuple[float, float]]:
         """Id of each real meter in use -> what it would read in this state, p.u. or rad, and its normalised residual, 0
         where it is the only one that determines it; empty before ``find_sigmas``.
         """
-        return {} if self._omega is None else estimate_readings(self.model, self.x, self._omega)
+        if self._omega is None:
+            return {}
+        checks, model = self._check_meters(self._omega), self.model
+        estimates, normalized = (model.z - checks.residual).tolist(), checks.normalized.tolist()
+        return {model.ids[k]: (estimates[k], normalized[k]) for k in np.flatnonzero(checks.real).tolist()}
+
+    def _check_meters(self, variance: np.ndarray) -> MeterChecks:
+        """At x, with diag(Omega) ``variance``, (n_meas,)."""
+        model = self.model
+        of_meters = model.residual(self.x), variance, model.sigma, ~model.virtual
+        return MeterChecks(
+            model.meters, *of_meters, lambda: np.array([m in self.critical for m in model.ids], dtype=bool)
+        )
 
     def _variances(self) -> tuple[np.ndarray, np.ndarray]:
         """Of all state variables, shape (size,), and of the residuals, shape (n_meas,)."""
