@@ -8,6 +8,7 @@ from coordinator.evaluation.verdict import Verdict
 from coordinator.report.grid_text import format_table
 from dsse_core.grid.partition import Area
 from dsse_core.printable import printable, printable_lines
+from dsse_core.split_identity import describe_other
 from scenarios.reading_rules import find_gateway_remark
 from scenarios.scenario import Scenario
 
@@ -116,8 +117,12 @@ def format_check(scenario: Scenario) -> str:
 def format_area_check(file: AreaFile) -> str:
     """What a checked area file consists of."""
     neighbours = ", ".join(n.area for n in file.area.neighbours) or "none"
-    lines = [f"{file.area.name} of run {file.run} is sound: strategy {file.strategy}, neighbours {neighbours}"]
-    return "\n".join(map(printable, [*lines, f"  {_describe_area(file.area, len(file.meters))}"]))
+    split = file.identity
+    is_sound = "is sound" if split.is_sound else "can be used, and no area will be good"
+    lines = [f"{file.area.name} of run {file.run} {is_sound}: strategy {file.strategy}, neighbours {neighbours}"]
+    lines += [f"  {_describe_area(file.area, len(file.meters))}"]
+    lines += [f"  {split}" if split.is_sound else f"  {describe_other('this area', split, split)}"]
+    return "\n".join(map(printable, lines))
 
 
 def _describe_area(area: Area, meters: int) -> str:

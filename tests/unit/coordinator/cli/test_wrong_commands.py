@@ -70,6 +70,24 @@ def test_values_to_vary_that_no_reader_takes_are_one_error(capsys: pytest.Captur
     assert len(output) < 5000
 
 
+def test_an_area_file_that_was_edited_or_states_no_split_is_named_as_one(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+):
+    path = folder / "areas" / "area1.toml"
+    original = path.read_text()
+    stated = original[original.index("[split]") : original.index("[", original.index("[split]") + 1)]
+    edits = (
+        (("beat_s = ", "tolerance = 1e-7\nbeat_s = "), "was edited after its split"),
+        ((stated, ""), "states no split"),
+    )
+    for (old, new), why in edits:
+        path.write_text(original.replace("tolerance", "#").replace(old, new))
+        assert run_command(["check", "areas/area1.toml"]) == 0
+        shown = capsys.readouterr().out
+        assert "area1 of run ieee33 can be used, and no area will be good" in shown
+        assert f"the file of this area {why}" in shown
+
+
 def test_an_area_file_is_checked_as_its_agent_would(folder: Path, capsys: pytest.CaptureFixture[str]):
     assert run_command(["check", "areas/area2.toml"]) == 0
     assert "area2 of run ieee33 is sound: strategy information, neighbours area1" in capsys.readouterr().out
