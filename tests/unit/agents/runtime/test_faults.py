@@ -207,6 +207,21 @@ def test_a_lie_states_another_boundary_in_every_strategys_variables():
     assert link.met == {"lied": 4}
 
 
+def test_a_lie_of_a_boundary_at_two_buses_is_about_each_of_its_powers_and_voltages():
+    names = ("s@6>a", "s@9>a", "v@6", "v@9")
+    y = np.array([0.2, 0.1, 0.3, -0.1, 0.98, 0.05, 0.97, 0.04])
+    false = 1.5 * y + np.array([0.3, -0.2, 0.3, -0.2, 0.02, -0.1, 0.02, -0.1])
+    R = np.triu(np.arange(1.0, 65.0).reshape(8, 8))
+    upper, z = tuple(R[np.triu_indices(8)].tolist()), tuple((R @ y).tolist())
+    of_round = OF_ROUND | {"variables": names}
+    up = UpMessage(header(), 6, **of_round, R=upper, z=z, no_load=(), power=tuple(y[:4]), totals=Totals())
+    heartbeat = HeartbeatMessage(header(), 6, **of_round, final=True, complete=True, y=tuple(y))
+    (u, h), _ = send(LinkFaults(lie_p=0.3, lie_q=-0.2, lie_vm=0.02, lie_va=-0.1, lie_scale=1.5), [up, heartbeat])
+    np.testing.assert_allclose(np.linalg.solve(read_triangle(u.R), u.z), false)
+    np.testing.assert_allclose(u.power, false[:4])
+    np.testing.assert_allclose(h.y, false)
+
+
 @pytest.mark.parametrize("y", np.random.default_rng(1).normal(size=(20, 4)))
 def test_a_lie_of_the_boundary_is_a_change_of_variables_and_so_never_contradicts_itself(y: np.ndarray):
     """|R y - z| of any y is |R' y' - z'| of the y' that the liar means by it."""
