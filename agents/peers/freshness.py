@@ -17,7 +17,7 @@ def is_old(header: Header, last: Header, silence_s: float, over_s: float) -> boo
     """Whether ``last``, not received for ``silence_s``, is newer: a later message of its incarnation, or of a later
     one.
 
-    An incarnation that was silent for more than ``over_s`` is over; the clock of the next one may have been set back.
+    One that was silent for more than ``over_s`` is over: the clock of the next one may have been set back, and a number
+    that its sender does not repeat was somebody else's.
     """
-    is_over = header.incarnation != last.incarnation and silence_s > over_s
-    return header.order < last.order and not is_over
+    return header.order < last.order and silence_s <= over_s

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from agents.messages.packing import BoundaryUpdate, Header, HeartbeatMessage, LinkMessage
 from agents.peers.clock_skew import ClockSkew, Skew
-from agents.peers.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS, PATIENCE_HEARTBEATS
+from agents.peers.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS
 from agents.peers.peers import Peer, Term, term_of
 from dsse_core.grid.partition import Neighbour
 
@@ -36,7 +36,7 @@ class PeerTable:
     ) -> None:
         self.gone: dict[str, str] = {}
         self.distrusted: dict[str, str] = {}
-        self._peers = {n.area: Peer(n.bus, present_at=now, since=now + clock_offset) for n in neighbours}
+        self._peers = {n.area: Peer(n.bus, now, now + clock_offset, heartbeat_s) for n in neighbours}
         self._heartbeat_s = heartbeat_s
         self.clock_offset = clock_offset
         self.correction = 0.0
@@ -81,7 +81,7 @@ class PeerTable:
 
     def absent_at(self, name: str) -> float:
         """When a neighbour counts as gone if it does not report until then that it receives us."""
-        return self._peers[name].present_at + self._patience_s(self._peers[name])
+        return self._peers[name].present_at + self._peers[name].patience_s
 
     def is_present(self, name: str, now: float) -> bool:
         """Whether a neighbour is there, and receives us as we receive it."""
@@ -102,10 +102,7 @@ class PeerTable:
     def receives(self, name: str, now: float) -> bool:
         """Whether we receive a neighbour."""
         peer = self._peers[name]
-        return bool(now <= peer.received_at + self._patience_s(peer))
-
-    def _patience_s(self, peer: Peer) -> float:
-        return peer.patience_s(PATIENCE_HEARTBEATS * self._heartbeat_s)
+        return bool(now <= peer.received_at + peer.patience_s)
 
     def note_gone(self, name: str, leave_reason: str) -> None:
         """The process of a neighbour has ended."""
@@ -166,7 +163,7 @@ class PeerTable:
         """
         peer = self._peers[name]
         longest_s = (
-            self._heartbeat_s if is_at_rest else min(self._heartbeat_s, self._patience_s(peer) / peer.patience_messages)
+            self._heartbeat_s if is_at_rest else min(self._heartbeat_s, peer.patience_s / peer.patience_messages)
         )
         is_awaited = is_at_rest and peer.awaits_reply and self.is_present(name, now)
         since = peer.unanswered_since if is_awaited else peer.changed_at

@@ -7,7 +7,7 @@ of a link that passes messages one way only come to the same conclusion.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
 from agents.messages.packing import (
@@ -19,6 +19,7 @@ from agents.messages.packing import (
     LoadMessage,
 )
 from agents.peers.clock_skew import ClockSkew
+from agents.peers.freshness import PATIENCE_HEARTBEATS
 from agents.peers.round_trip import MEAN_GAIN, RoundTrip
 
 PATIENCE_WAITS = 20  # messages, one each longest wait, that should have come through: none does once in 5e8 times
@@ -69,6 +70,7 @@ class Peer:
     bus: int
     present_at: float
     since: float  # wall-clock time at which the own process began: nothing of before counts as an answer
+    heartbeat_s: float  # within which a message goes either way
     sent_at: float = -math.inf
     unanswered_since: float = -math.inf  # the first message to it since it was received
     received_at: float = -math.inf
@@ -89,11 +91,27 @@ class Peer:
     boundary: BoundaryUpdate | None = None
     received_sequence: int = 0
     mean_count: float = 1.0  # of sendings until an answer comes
-    round_trip: RoundTrip = field(default_factory=RoundTrip)
+    round_trip: RoundTrip = field(init=False)
     clock: ClockSkew = field(default_factory=ClockSkew)
     correction: float = 0.0
-    _newest: tuple[float, float] = (0.0, 0.0)  # send time by its clock, and when it arrived here
+    _newest: tuple[float, float] = (0.0, -math.inf)  # send time by its clock, and when it arrived here
     _timed: Incarnation | None = None  # the one whose send times these are
+    _answered: float = -math.inf  # the latest own time that it has answered
+    _load_at: float = -math.inf  # when the newest load message, or a repeat of it, arrived
+    _exchange_at: float = -math.inf  # the same of the newest message of the strategy
+
+    def __post_init__(self) -> None:
+        self._forget_round_trip()
+
+    def _forget_round_trip(self) -> None:
+        self.round_trip = RoundTrip(most_s=self.over_s)
+
+    @property
+    def over_s(self) -> float:
+        """How long a number counts that is not received again: a later time or a higher number than its sender has is
+        false, and what follows it would else be old for ever.
+        """
+        return PATIENCE_HEARTBEATS * self.heartbeat_s
 
     def take(self, message: LinkMessage, now: float, wall: float, *, is_awake: bool) -> None:
         """Note what any message states of the process and the link; ``wall``: ``now`` as own messages state it.
@@ -103,7 +121,8 @@ class Peer:
         header = message.header
         if header.incarnation != self.incarnation:
             self.term, self.received_sequence = (0, 0), 0
-            self.round_trip, self.final, self.complete, self.y = RoundTrip(), False, False, ()
+            self._forget_round_trip()
+            self.final, self.complete, self.y = False, False, ()
             if self.incarnation is not None:
                 self.load.repeat = self.exchange.repeat = None  # the new process reports what it lacks
         self.incarnation, self.received_at = header.incarnation, now
@@ -114,6 +133,7 @@ class Peer:
             self._note_standing(message)
         if is_awake and trip_s is not None:
             self.round_trip.take(trip_s)
+            self._bring_repeats_forward()
         for sent, number in zip(self.outgoing, message.received, strict=True):
             if number == sent.sequence:  # a higher one was sent to a former incarnation of this area
                 self.take_reply(sent)
@@ -125,17 +145,33 @@ class Peer:
         """
         header, trip_s = message.header, None
         if header.incarnation != self._timed:
-            self._timed, self._newest = header.incarnation, (0.0, 0.0)
+            self._timed, self._newest = header.incarnation, (0.0, -math.inf)
             self.clock, self.correction = ClockSkew(), 0.0
-        if message.answers > 0 and self.since <= message.answers <= wall:
+        if self._may_answer(message.answers, wall):
             trip_s = wall - message.answers
+            self._answered = max(self._answered, message.answers)
             self.clock.take(header.time, wall, trip_s)
-        is_newest = header.time > self._newest[0]
+        is_newest = header.time > self._newest[0] or now > self._newest[1] + self.over_s
         if is_newest:
             self._newest = (header.time, now)
             if isinstance(message, HeartbeatMessage):
                 self.correction = message.clock
         return is_newest, trip_s
+
+    def _may_answer(self, answers: float, wall: float) -> bool:
+        """Whether ``answers`` can be what a neighbour states of a message of ours, and measures a round trip.
+
+        The newest message that it has received is none that was sent before the one that it has answered already, and
+        of these there is one each heartbeat: a longer trip than since then no message can have been under way.
+        """
+        return max(self.since, self._answered - self.heartbeat_s) <= answers <= wall
+
+    def _bring_repeats_forward(self) -> None:
+        """What waits longer for its repeat than the longest wait, as that is known now, does so no more."""
+        wait = self.round_trip.longest_wait_s
+        for sent in self.outgoing:
+            if (repeat := sent.repeat) is not None and wait < repeat.wait_s:
+                sent.repeat = replace(repeat, at=repeat.at - repeat.wait_s + wait, wait_s=wait)
 
     def _note_standing(self, message: LinkMessage) -> None:
         self.final, self.complete, self.y = False, False, ()
@@ -152,14 +188,25 @@ class Peer:
         """In the order of ``received``."""
         return self.load, self.exchange
 
-    def take_load(self, message: LoadMessage) -> bool:
+    def take_load(self, message: LoadMessage, now: float) -> bool:
         """Keep a load message of the present incarnation; whether it is newer than the last one."""
         last, header = self.received_load, message.header
-        is_new = last is None or header.order > last.header.order
+        is_over = now > self._load_at + self.over_s
+        is_new = last is None or header.order > last.header.order or (is_over and header.order != last.header.order)
         if last is not None and header.incarnation != last.header.incarnation:
             is_new |= header.incarnation == self.incarnation  # its clock may have been set back
         if is_new:
             self.received_load = message
+        if is_new or (last is not None and header.order == last.header.order):
+            self._load_at = now
+        return is_new
+
+    def take_number(self, sequence: int, now: float) -> bool:
+        """Note the number of a message of the strategy that is used; whether it is newer than the last one."""
+        is_over = now > self._exchange_at + self.over_s
+        is_new = sequence > self.received_sequence or (is_over and sequence != self.received_sequence)
+        if is_new or sequence == self.received_sequence:
+            self.received_sequence, self._exchange_at = sequence, now
         return is_new
 
     @property
@@ -181,9 +228,15 @@ class Peer:
         """
         return PATIENCE_WAITS * math.sqrt(self.mean_count)
 
-    def patience_s(self, least_s: float) -> float:
-        """How long it may send nothing before it counts as gone: ``least_s``, or as long as so many messages take."""
-        longest_s = self.round_trip.longest_wait_s * PATIENCE_WAITS * math.sqrt(self.mean_count)  # asked for very often
+    @property
+    def patience_s(self) -> float:
+        """How long it may send nothing before it counts as gone, at least ``over_s``: as long as ``patience_messages``
+        take, one each four round trips, and each heartbeat. One deviating sample makes it no longer.
+        """
+        wait_s, least_s = self.round_trip.trips_s, PATIENCE_HEARTBEATS * self.heartbeat_s  # asked for very often
+        if wait_s > self.heartbeat_s:
+            wait_s = self.heartbeat_s
+        longest_s = wait_s * PATIENCE_WAITS * math.sqrt(self.mean_count)
         return longest_s if longest_s > least_s else least_s
 
     def note_sent(self, now: float) -> None:
@@ -219,7 +272,8 @@ class Peer:
     def take_reply(self, sent: Outgoing[Any]) -> None:
         """The last message has been answered or acknowledged."""
         if sent.repeat is not None:
-            self.mean_count += MEAN_GAIN * (sent.repeat.count - self.mean_count)
+            count = min(sent.repeat.count, self.patience_messages)  # more are not lost, but left unanswered
+            self.mean_count += MEAN_GAIN * (count - self.mean_count)
             sent.repeat = None
 
     def has_waited_for_trip(self, now: float) -> bool:

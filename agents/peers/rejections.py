@@ -28,6 +28,7 @@ FUTURE = "time in the future"  # a reason of rejection
 FAR_SCAN = "scan far ahead of the telemetry"  # another
 OTHER_STRATEGY = "other strategy"  # another
 OTHER_BUS = "other boundary bus"  # another
+BEYOND = "numbers beyond reason"  # another
 CONTRADICTION = "contradicts the area file"  # another
 FOR_OTHERS = (StateMessage, ReadingsMessage, CommandMessage, ClockMessage)  # kinds that no neighbour says to an area
 
@@ -101,6 +102,8 @@ def find_rejection(message: Message, key_sender: str, content: Configuration, no
         return "other run"
     if find_lead(header, now) > LONGEST_LEAD_S:
         return FUTURE
+    if not are_within_reason((header.time, getattr(message, "answers", 0.0), getattr(message, "clock", 0.0))):
+        return BEYOND
     if isinstance(message, TelemetryMessage):
         return _find_telemetry_rejection(message, content)
     bus = next((n.bus for n in content.area.neighbours if n.area == header.sender), None)
@@ -139,14 +142,14 @@ def find_unreasonable(
             possible = are_within_reason((0.0, *message.y)) and max(counted) < MOST_COUNTED
         case _:
             possible = True
-    return "" if possible else "numbers beyond reason"
+    return "" if possible else BEYOND
 
 
 def _find_telemetry_rejection(message: TelemetryMessage, content: Configuration) -> str:
     if message.area != content.area.name:
         return "telemetry of another area"
     if message.header.scan > MOST_COUNTED // 2:
-        return "numbers beyond reason"
+        return BEYOND
     return ""
 
 

@@ -17,19 +17,25 @@ class RoundTrip:
     """The smoothed round trip of one link and its mean deviation, s; nan before the first sample.
 
     ``wait_s``: how long an answer is waited for before the first repeat; ``longest_wait_s``: between two of many.
+    ``trips_s``: LONGEST_WAIT_TRIPS of them. ``most_s``: the most that any of these may be, whatever has been measured:
+    samples follow from what the neighbour states.
     """
 
+    most_s: float = math.inf
     mean: float = math.nan
     deviation: float = math.nan
     wait_s: float = FIRST_WAIT_S
     longest_wait_s: float = FIRST_WAIT_S
+    trips_s: float = FIRST_WAIT_S
 
     def take(self, sample: float) -> None:
         """Take in a measured round trip, s."""
+        sample = min(sample, self.most_s)
         if math.isnan(self.mean):
             self.mean, self.deviation = sample, sample / 2
         else:
             self.deviation += DEVIATION_GAIN * (abs(sample - self.mean) - self.deviation)
             self.mean += MEAN_GAIN * (sample - self.mean)
-        self.wait_s = max(LEAST_WAIT_S, self.mean + DEVIATIONS * self.deviation)
-        self.longest_wait_s = max(LONGEST_WAIT_TRIPS * max(LEAST_WAIT_S, self.mean), self.wait_s)
+        self.wait_s = min(max(LEAST_WAIT_S, self.mean + DEVIATIONS * self.deviation), self.most_s)
+        self.trips_s = min(LONGEST_WAIT_TRIPS * max(LEAST_WAIT_S, self.mean), self.most_s)
+        self.longest_wait_s = max(self.trips_s, self.wait_s)

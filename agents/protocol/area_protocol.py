@@ -301,7 +301,7 @@ class AreaProtocol(ABC):
             if isinstance(message, LoadMessage):
                 peer = self._peers[key_sender]
                 peer.is_owed_reply = True
-                if peer.take_load(message):
+                if peer.take_load(message, self._now):
                     yield from self._take_load()
             elif isinstance(message, LinkMessage):
                 yield from self._receive(key_sender, message)
@@ -358,7 +358,7 @@ class AreaProtocol(ABC):
         self, name: str, sent: Outgoing[Any], received: int, *, even_if_repeated: bool = False
     ) -> Iterator[Publish]:
         """The last message once more to a neighbour that reports that it lacks it, as it was away or has restarted."""
-        if sent.message is None or received >= sent.sequence or (sent.repeat is not None and not even_if_repeated):
+        if sent.message is None or received == sent.sequence or (sent.repeat is not None and not even_if_repeated):
             return
         if sent.repeat is None:
             self._peers[name].await_reply(sent, sent.message, self._now)

@@ -122,9 +122,8 @@ class AsynchronousProtocol(AreaProtocol):
             yield from self._send_if_lacking(name, sent, number)
         if isinstance(message, BoundaryUpdate):
             peer.is_owed_reply = True
-            if message.header.sequence > peer.received_sequence:
-                peer.boundary, peer.received_sequence = message, message.header.sequence
-                self._has_update = True
+            if peer.take_number(message.header.sequence, self._now):
+                peer.boundary, self._has_update = message, True
 
     # What is made of it
 

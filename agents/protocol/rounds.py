@@ -29,13 +29,13 @@ from agents.messages.packing import (
 )
 from agents.messages.triangle import write_triangle
 from agents.peers.peers import Peer, Term
-from agents.peers.rejections import FAR_SCAN
+from agents.peers.rejections import BEYOND, FAR_SCAN, MOST_COUNTED
 from agents.protocol.area_protocol import AreaProtocol
 from agents.protocol.area_round import AreaRound, Content, Decider, Outcome
 from agents.protocol.configuration import Configuration
 from agents.protocol.events import Action, Publish
 from agents.protocol.rounds_state import RoundsState
-from agents.protocol.scan_readings import TelemetryUpdate
+from agents.protocol.scan_readings import MOST_AHEAD, TelemetryUpdate
 from agents.strategies.interface import AnyStrategy
 from dsse_core.estimation.decision import Totals
 
@@ -96,8 +96,12 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
     # What comes in
 
     def _find_rejection(self, message: Message) -> str:
-        is_far = isinstance(message, RoundsMessage) and not self._scan.may_enter(message.header.scan, self._now)
-        return FAR_SCAN if is_far else ""
+        if not isinstance(message, RoundsMessage):
+            return ""
+        if not self._scan.may_enter(message.header.scan, self._now):
+            return FAR_SCAN
+        # beyond half of what is accepted only in small steps: the revision that follows a lie is accepted, too
+        return BEYOND if message.revision > max(MOST_COUNTED // 2, self._revision + MOST_AHEAD) else ""
 
     def _take_numbering(self, name: str, message: HeartbeatMessage) -> Iterator[Action]:
         yield from self._act_on(self._scan.take_numbering(name, message.plant, message.offset, self._now))
@@ -160,7 +164,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         if message.k > self._round.k:
             return  # sent to a former incarnation of this area
         peer.is_owed_reply = True
-        peer.received_sequence = max(peer.received_sequence, message.header.sequence)
+        peer.take_number(message.header.sequence, self._now)
         if message.k < self._round.k:
             if peer.has_waited_for_trip(self._now):  # it lacks our answer
                 yield from self._send_if_lacking(name, peer.exchange, message.received[1], even_if_repeated=True)

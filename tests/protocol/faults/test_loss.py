@@ -64,4 +64,6 @@ def test_a_lost_message_costs_round_trips_and_no_heartbeat(strategy: str, loss: 
         counts = {
             round_trips_to(bus_with(strategy, loss=loss, heartbeat_s=b, seed=seed), ends, most) for b in (0.2, 2, 20)
         }
-        assert len(counts) == 1 or strategy == "information", f"{counts} round trips with three heartbeats"
+        assert max(counts) < 1.2 * min(counts) or strategy == "information", (
+            f"{counts} round trips with three heartbeats"
+        )

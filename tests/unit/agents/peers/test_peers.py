@@ -9,7 +9,7 @@ import pytest
 from agents.messages.packing import Header, HeartbeatMessage, Incarnation, LoadMessage
 from agents.peers.freshness import PATIENCE_HEARTBEATS
 from agents.peers.peer_table import PeerTable
-from agents.peers.peers import Peer
+from agents.peers.peers import PATIENCE_WAITS, Peer
 from agents.peers.round_trip import FIRST_WAIT_S, LEAST_WAIT_S
 from agents.strategies.angle_offset import BoundaryMessage
 from dsse_core.grid.partition import Neighbour
@@ -54,10 +54,10 @@ def receive(peer: Peer, message: HeartbeatMessage | BoundaryMessage, now: float)
 
 
 def test_neither_a_repeat_nor_an_older_message_is_new(peer: Peer):
-    assert peer.take_load(load(sequence=2))
-    assert not peer.take_load(load(sequence=2))
-    assert not peer.take_load(load(sequence=1))
-    assert peer.take_load(load(sequence=3))
+    assert peer.take_load(load(sequence=2), 0.0)
+    assert not peer.take_load(load(sequence=2), 0.0)
+    assert not peer.take_load(load(sequence=1), 0.0)
+    assert peer.take_load(load(sequence=3), 0.0)
 
 
 def test_a_former_incarnation_is_not_received_while_the_newest_sends(peers: PeerTable, peer: Peer):
@@ -68,12 +68,12 @@ def test_a_former_incarnation_is_not_received_while_the_newest_sends(peers: Peer
 
 
 def test_a_load_of_a_restarted_area_whose_clock_was_set_back_counts_once_it_has_been_received(peer: Peer):
-    peer.take_load(load(sequence=9))
+    peer.take_load(load(sequence=9), 0.0)
     receive(peer, heartbeat(), 0.0)
-    assert not peer.take_load(load(SET_BACK))
+    assert not peer.take_load(load(SET_BACK), 0.0)
     receive(peer, heartbeat(SET_BACK), 2 * OVER_S)
     assert peer.received == (0, 0)  # the load that is kept is of a process that is no more
-    assert peer.take_load(load(SET_BACK))
+    assert peer.take_load(load(SET_BACK), 0.0)
     assert peer.received == (1, 0)
 
 
@@ -130,3 +130,50 @@ def test_nothing_is_repeated_to_a_neighbour_that_is_not_there(peers: PeerTable, 
     peer.await_reply(peer.load, load(), 0.0)
     assert list(peers.take_due_repeats(PATIENCE_HEARTBEATS * HEARTBEAT_S)) == []
     assert peer.load.repeat is None
+
+
+def test_a_longer_trip_than_since_the_message_answered_before_is_none(peer: Peer):
+    for k in range(20):
+        receive(peer, heartbeat(answers=WALL + 0.2 * k - 0.03, time=WALL + 0.2 * k), 0.2 * k)
+    waits = peer.round_trip.wait_s, peer.round_trip.longest_wait_s
+    receive(peer, heartbeat(answers=WALL + 0.5, time=WALL + 4.0), 4.0)
+    assert (peer.round_trip.wait_s, peer.round_trip.longest_wait_s) == waits
+    assert peer.clock.skew.doubt_s < 0.1
+
+
+def test_no_trip_makes_waits_and_patience_longer_than_the_own_heartbeat_allows(peer: Peer):
+    receive(peer, heartbeat(answers=WALL + 1.0, time=WALL + 1000.0), 1000.0)
+    assert peer.round_trip.longest_wait_s == OVER_S
+    assert peer.patience_s == pytest.approx(PATIENCE_WAITS * HEARTBEAT_S)
+
+
+def test_a_pending_repeat_comes_sooner_when_the_round_trip_is_found_to_be_shorter(peers: PeerTable, peer: Peer):
+    receive(peer, heartbeat(answers=WALL + 1.0, time=WALL + 2.0), 2.0)
+    peer.await_reply(peer.exchange, boundary(1), 2.0)
+    late = peer.exchange.repeat.at
+    for k in range(30):
+        now = 2.0 + 0.01 * k
+        receive(peer, heartbeat(answers=WALL + now - 0.002, time=WALL + now), now)
+    assert late > 3.5
+    assert peer.exchange.repeat.at < 2.3
+
+
+def test_one_number_that_is_not_repeated_is_the_newest_for_the_patience_only(peer: Peer):
+    receive(peer, heartbeat(time=WALL + 500.0, complete=True), 0.0)
+    receive(peer, heartbeat(time=WALL + 1.0), 1.0)
+    assert peer.complete
+    receive(peer, heartbeat(time=WALL + OVER_S + 0.1), OVER_S + 0.1)
+    assert not peer.complete
+    assert peer.take_load(load(sequence=2**52), 0.0)
+    assert not peer.take_load(load(sequence=4), OVER_S)
+    assert peer.take_load(load(sequence=4), OVER_S + 0.1)
+    assert peer.take_number(2**52, 0.0)
+    assert not peer.take_number(4, OVER_S)
+    assert peer.take_number(4, OVER_S + 0.1)
+
+
+def test_a_message_left_unanswered_for_long_is_no_measure_of_loss(peer: Peer):
+    peer.await_reply(peer.load, load(sequence=4), 0.0)
+    peer.load.repeat = replace(peer.load.repeat, count=10**6)
+    receive(peer, heartbeat(received=(4, 0)), 1.0)
+    assert peer.mean_count < PATIENCE_WAITS / 4
