@@ -75,14 +75,16 @@ class NotObservableError(DsseError):
 class EstimationDivergedError(DsseError):
     """Gauss-Newton did not end; says why, and what to do.
 
-    ``meter``: id of the one whose reading is the cause, empty where no reading is known to be.
+    ``meter``: id of the one whose reading is the cause, empty where no reading is known to be. ``reason``: of
+    ``decision``, "diverged", or "out of reach": a step leads farther than all steps of a start.
     """
 
-    def __init__(self, iterations: int, step: float, cause: str, meter: str = "") -> None:
+    def __init__(self, iterations: int, step: float, cause: str, meter: str = "", reason: str = "diverged") -> None:
+        self.reason = reason
         self.iterations = iterations
         self.step = step
         self.cause = cause
         self.meter = meter
         super().__init__(
-            f"state estimation did not converge in {iterations} iterations (last step {step:.3g}); {cause}"
+            f"state estimation did not converge in {iterations} iterations ({reason}, last step {step:.3g}); {cause}"
         )

@@ -17,6 +17,7 @@ LARGEST_STEP = 1e6  # p.u. or rad; beyond it the iteration has left every state 
 # A longer step is shortened: a dead voltmeter must not throw all voltages to zero, where nothing converges.
 MAX_DVM = 0.2  # p.u.
 MAX_DVA = 1.0  # rad
+FARTHEST_DVM = MOST_STEPS_ANEW * MAX_DVM  # p.u.: all steps of a start, each as long as allowed, lead no farther
 # The end, see ``next_step``; p.u. and rad but for the rate.
 LAST_STEP = 1e-5  # what the last step may be
 REST = 2e-9  # what may be left after it
@@ -58,6 +59,11 @@ def correct_step(share: float, stepped: bool, flows_known: bool, dva: float, dvm
         if not flows_known and largest < FLOWS_KNOWN:
             return USE_CURRENTS, share
     return GO_ON, share
+
+
+def is_out_of_reach(dvm: float) -> bool:
+    """Whether a step changes a magnitude, p.u., by more than all shortened steps of a start together would."""
+    return not dvm <= FARTHEST_DVM
 
 
 def next_step(

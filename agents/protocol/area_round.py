@@ -22,13 +22,14 @@ from dsse_core.estimation.decision import (
     add_totals,
     decide,
     find_omission,
+    is_lost,
     name_next,
 )
 from dsse_core.exchange.area_estimation import FAILURES, AreaEstimation
 from dsse_core.exchange.boundary_load import NetLoad
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.partition import Area
-from dsse_core.linear.boundary_information import BoundaryInformation
+from dsse_core.linear.boundary_information import BEYOND_REASON, BoundaryInformation
 from dsse_core.split_identity import SplitIdentity, SplitUse, find_newest
 
 Known = dict[str, BoundaryInformation]
@@ -181,7 +182,7 @@ class AreaRound:
         """What Up(k) says."""
         assert self.towards_hub is not None  # else it is decided
         name, information, no_load = self.towards_hub, None, None
-        if not totals.failed and not self._memory.evaluating:
+        if not (totals.failed or self._memory.evaluating or is_lost(totals)):
             information = self._find_information(name, self._below())
         if self.estimation.failure:
             totals = add_totals([totals, Totals(failed=(self._area.name,))])
@@ -207,7 +208,8 @@ class AreaRound:
             return None
 
     def _find_power(self, name: str) -> tuple[float, ...]:
-        return () if self.estimation.failure else self.estimation.power_for(name)
+        power = () if self.estimation.failure else self.estimation.power_for(name)
+        return tuple(np.clip(power, -BEYOND_REASON, BEYOND_REASON).tolist())  # beyond it the step is lost
 
     # From the hub
 

@@ -44,8 +44,8 @@ from agents.protocol.readings import Ages
 from agents.protocol.scan_end import ScanEnd
 from agents.protocol.scan_readings import ScanReadings
 from agents.strategies.interface import Estimate
+from dsse_core.estimation.decision import STEPS_USED_UP, Totals
 from dsse_core.estimation.decision import UNOBSERVABLE as NOT_OBSERVABLE
-from dsse_core.estimation.decision import Totals
 from dsse_core.estimation.residuals import chi_square_limit
 from dsse_core.exchange.area_estimation import FAILURES
 from dsse_core.grid.boundary import Kind
@@ -203,9 +203,13 @@ class RoundsState:
             yield Finding(UNOBSERVABLE, what, "not observable", totals.unobservable)
         elif totals.failed:
             yield Finding(DEGRADED, f"no estimate in {', '.join(totals.failed)}", "no estimate in", totals.failed)
+        elif reason == STEPS_USED_UP:
+            what = "bad data are looked for no longer"
+            yield Finding(DEGRADED, f"{what} ({reason}); J is still {totals.objective:.4g}", what)
         elif reason:
             what = "the iteration has not converged"
-            yield Finding(DEGRADED, f"{what}: last step {totals.step:.3g} p.u. or rad", what)
+            off = f"the readings of this area are {self._round.estimation.deviation:.3g} standard deviations off"
+            yield Finding(DEGRADED, f"{what} ({reason}); {off}, root mean square", what)
         elif kept := self._round.kept:
             yield Finding(
                 DEGRADED,

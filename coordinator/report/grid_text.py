@@ -147,6 +147,7 @@ def _format_suspect(suspect: SuspectKept | None) -> str:
     reason = {
         "critical": "without it the state is not determined",
         "diverges": "without it the estimate does not converge",
+        "steps used up": "bad data are looked for no longer, as the steps of the scan are used up",
     }[suspect.reason]
     return f": {suspect.meter} has the largest normalised residual, {suspect.normalized_residual:.3g}, but {reason}"
 

@@ -37,11 +37,13 @@ class RemovedMeasurement:
 
 @dataclass(frozen=True)
 class SuspectKept:
-    """A meter above the threshold that stays, and why: it is critical, or without it the estimation diverges."""
+    """A meter above the threshold that stays, and why: it is critical, without it the estimation diverges, or the steps
+    of the scan are used up.
+    """
 
     meter: Meter
     normalized_residual: float
-    reason: Literal["critical", "diverges"]
+    reason: Literal["critical", "diverges", "steps used up"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -230,4 +232,6 @@ def _find_suspect(result: EstimationResult, threshold: float, critical: Collecti
     if normalized[worst] <= threshold:
         return None
     meter = result.plan.meters[worst]
-    return SuspectKept(meter, float(normalized[worst]), "critical" if meter.id in critical else "diverges")
+    if meter.id in critical:
+        return SuspectKept(meter, float(normalized[worst]), "critical")
+    return SuspectKept(meter, float(normalized[worst]), "diverges" if kept else "steps used up")

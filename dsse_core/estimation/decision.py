@@ -13,7 +13,8 @@ from enum import StrEnum
 
 from dsse_core import gauss_newton
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, keep_equal, keep_tied
-from dsse_core.gauss_newton import LAST_STEP, MOST_STEPS, MOST_STEPS_ANEW
+from dsse_core.gauss_newton import FULL_STEPS, LAST_STEP, MOST_STEPS, MOST_STEPS_ANEW
+from dsse_core.linear.boundary_information import BEYOND_REASON
 from dsse_core.split_identity import HeldSplits, SplitUse, add_held, add_uses
 
 MOST_REMOVED = 1000  # meters of one scan; more are made up by somebody who would do so for ever
@@ -35,6 +36,8 @@ class Decision(StrEnum):
 
 
 UNOBSERVABLE, DIVERGED, NO_ESTIMATE = "unobservable", "diverged", "no estimate"  # reasons of an end without success
+OUT_OF_REACH = "out of reach"  # another: the readings have no state to which the steps of a start lead
+STEPS_USED_UP = "steps used up"  # another: of an estimate, in which bad data is looked for no longer
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ def add_totals(parts: Iterable[Totals]) -> Totals:
     worst = keep_tied(dict(named for t in parts for named in t.worst))
     tied = keep_equal(dict(named for t in parts for named in t.tied), worst)
     return Totals(
-        objective=sum(t.objective for t in parts),
+        objective=limit_total(sum(t.objective for t in parts)),
         degrees_of_freedom=sum(t.degrees_of_freedom for t in parts),
         dvm=max(t.dvm for t in parts),
         dva=max(t.dva for t in parts),
@@ -95,6 +98,11 @@ def add_totals(parts: Iterable[Totals]) -> Totals:
         tied=tuple(tied.items())[:MOST_NAMED],
         held=add_held((t.held for t in parts), MOST_NAMED),
     )
+
+
+def limit_total(size: float) -> float:
+    """``size`` as totals state it. What is larger is no other verdict, and its receiver would take it for no number."""
+    return min(size, BEYOND_REASON)
 
 
 def find_omission(totals: Totals, part: Totals) -> str:
@@ -136,6 +144,7 @@ class Memory:
     found; it is in use again, and no other is taken out. ``steps``: since the last start; ``share``: what was taken of
     the last one. ``before``: the size of the last full step since a decision, 0 without one. ``stepped``: the totals'
     step was taken in full. ``from_flat_start``: the start of the scan has led to no end with these meters.
+    ``spent``: steps of all starts before.
     """
 
     removed: tuple[str, ...] = ()
@@ -148,6 +157,7 @@ class Memory:
     uses_currents: bool = False
     evaluating: bool = False
     from_flat_start: bool = False
+    spent: int = 0
 
 
 @dataclass(frozen=True)
@@ -182,6 +192,9 @@ def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tupl
         return _remove_worst(memory, totals)
     flows_known, before = memory.uses_currents or not totals.held_back, 0.0
     verdict, share = gauss_newton.correct_step(memory.share, memory.stepped, flows_known, totals.dva, totals.dvm)
+    is_far = verdict != gauss_newton.LOST and gauss_newton.is_out_of_reach(totals.dvm)
+    if is_far:
+        verdict = gauss_newton.LOST
     if verdict == gauss_newton.GO_ON:
         limit = chi_square_limit(totals.degrees_of_freedom, CONFIDENCE)
         verdict, share, before = gauss_newton.next_step(
@@ -198,7 +211,7 @@ def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tupl
         case gauss_newton.FINAL | gauss_newton.EVALUATE:
             return memory, Verdict(Decision.FINAL, with_step=True)
         case gauss_newton.LOST if memory.from_flat_start:
-            return _give_up(memory, DIVERGED)
+            return _give_up(memory, OUT_OF_REACH if is_far else DIVERGED)
         case gauss_newton.LOST:
             return begin_at_flat_start(memory), Verdict(Decision.ANEW)
     memory = replace(memory, steps=memory.steps + 1, share=share, before=before, stepped=True)
@@ -212,9 +225,15 @@ def name_next(verdict: Verdict, totals: Totals) -> Verdict:
     return replace(verdict, next_split=totals.held[0][0].digest)
 
 
+def is_lost(totals: Totals) -> bool:
+    """Whether the last step has led to no state, so that nothing that is known there is asked for."""
+    return not totals.step <= gauss_newton.LARGEST_STEP or gauss_newton.is_out_of_reach(totals.dvm)
+
+
 def begin_at_flat_start(memory: Memory) -> Memory:
     """With the same meters once more, as the start of the scan has led to no end."""
-    return Memory(removed=memory.removed, tied=memory.tied, kept=memory.kept, from_flat_start=True)
+    spent = memory.spent + memory.steps
+    return Memory(memory.removed, memory.tied, memory.kept, from_flat_start=True, spent=spent)
 
 
 def _give_up(memory: Memory, reason: str) -> tuple[Memory, Verdict]:
@@ -226,12 +245,22 @@ def _give_up(memory: Memory, reason: str) -> tuple[Memory, Verdict]:
 
 def put_back(memory: Memory) -> Memory:
     """What follows where no estimate is found without the meter that was taken out last: the one before stands."""
-    return Memory(removed=memory.removed[:-1], tied=memory.tied[:-1], kept=memory.removed[-1])
+    spent = memory.spent + memory.steps
+    return Memory(memory.removed[:-1], memory.tied[:-1], memory.removed[-1], spent=spent)
 
 
 def most_steps(memory: Memory) -> int:
     """How many steps since the start are taken at most."""
     return MOST_STEPS_ANEW if memory.from_flat_start else MOST_STEPS
+
+
+def are_steps_used_up(memory: Memory) -> bool:
+    """Whether no further start is begun without a meter: the scan has taken all steps of one start and of that anew,
+    and of each start with a meter less those of one that goes well. So meters that have been found earn what is needed
+    to look for the next one, however many they are.
+    """
+    most = MOST_STEPS + MOST_STEPS_ANEW + FULL_STEPS * len(memory.removed)
+    return memory.spent + memory.steps > most
 
 
 def _remove_worst(memory: Memory, totals: Totals) -> tuple[Memory, Verdict]:
@@ -241,9 +270,12 @@ def _remove_worst(memory: Memory, totals: Totals) -> tuple[Memory, Verdict]:
     """
     if not totals.worst or not _exceeds_limit(totals) or len(memory.removed) >= MOST_REMOVED:
         return replace(memory, evaluating=False), Verdict(Decision.FINAL)
+    if are_steps_used_up(memory):
+        return replace(memory, evaluating=False), Verdict(Decision.FINAL, reason=STEPS_USED_UP)
     first, *others = [meter for meter, _ in totals.worst]
     tied = tuple(sorted([*others, *(meter for meter, _ in totals.tied)]))
-    return Memory(removed=(*memory.removed, first), tied=(*memory.tied, tied)), Verdict(Decision.ANEW)
+    removed, spent = (*memory.removed, first), memory.spent + memory.steps
+    return Memory(removed=removed, tied=(*memory.tied, tied), spent=spent), Verdict(Decision.ANEW)
 
 
 def _exceeds_limit(totals: Totals) -> bool:

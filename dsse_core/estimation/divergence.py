@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from dsse_core.errors import BELIEVABLE, EstimationDivergedError, InvalidInputError, NotObservableError
-from dsse_core.estimation.decision import Memory
+from dsse_core.estimation.decision import DIVERGED, Memory
 from dsse_core.estimation.residuals import THRESHOLD
 from dsse_core.gauss_newton import MAX_DVA, MAX_DVM, Solution
 from dsse_core.grid.admittance import build_admittance, flat_start
@@ -35,11 +35,14 @@ class Estimate(Protocol):
 
 
 class IterationLostError(Exception):
-    """The iteration has no end. ``weighted``: |r| / sigma of all meters where it has stopped, (n_meas,)."""
+    """The iteration has no end. ``weighted``: |r| / sigma of all meters where it has stopped, (n_meas,).
 
-    def __init__(self, iterations: int, step: float, weighted: np.ndarray) -> None:
+    ``reason``: of ``decision``.
+    """
+
+    def __init__(self, iterations: int, step: float, weighted: np.ndarray, reason: str = DIVERGED) -> None:
         super().__init__(f"no end after {iterations} iterations")
-        self.iterations, self.step, self.weighted = iterations, step, weighted
+        self.iterations, self.step, self.weighted, self.reason = iterations, step, weighted, reason
 
 
 def explain_divergence(
@@ -57,8 +60,9 @@ def explain_divergence(
                 f"without {plan.meters[row]} it does, and that reading lies {distance:.3g} standard deviations from "
                 "what the others say; check that meter's value, sign and unit"
             )
-            return EstimationDivergedError(lost.iterations, lost.step, cause, plan.meters[row].id)
-    return EstimationDivergedError(lost.iterations, lost.step, _find_cause(plan, values, sigmas, estimate))
+            return EstimationDivergedError(lost.iterations, lost.step, cause, plan.meters[row].id, lost.reason)
+    cause = _find_cause(plan, values, sigmas, estimate)
+    return EstimationDivergedError(lost.iterations, lost.step, cause, reason=lost.reason)
 
 
 def _find_suspects(plan: EstimationPlan, weighted: np.ndarray) -> list[int]:

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dsse_core.estimation.decision import Memory, begin_at_flat_start, most_steps
+from dsse_core.estimation.decision import DIVERGED, OUT_OF_REACH, Memory, begin_at_flat_start, most_steps
 from dsse_core.estimation.divergence import IterationLostError
 from dsse_core.estimation.radial_threads import estimate_on_threads
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
-from dsse_core.gauss_newton import EVALUATE, LOST, Solution
+from dsse_core.gauss_newton import EVALUATE, LARGEST_STEP, LOST, Solution
 from dsse_core.grid.measurement import check_readings
 from dsse_core.radial.plan import N_SLOT, RadialPlan
 
@@ -57,12 +57,13 @@ def estimate_radial(
             check_readings(plan.network, plan.meters, values, sigmas)
         if end != LOST or memory.from_flat_start:
             break
-        memory = begin_at_flat_start(memory)
+        memory = begin_at_flat_start(replace(memory, steps=steps))
     plan.spaces.append(space)
     if end == LOST:
-        raise IterationLostError(steps, step, abs(residual) / np.where(sigmas > 0, sigmas, np.inf))
-    if end == EVALUATE and not memory.kept:
-        memory = replace(memory, evaluating=True)
+        is_far = steps < most_steps(memory) and step <= LARGEST_STEP
+        weighted = abs(residual) / np.where(sigmas > 0, sigmas, np.inf)
+        raise IterationLostError(steps, step, weighted, OUT_OF_REACH if is_far else DIVERGED)
+    memory = replace(memory, steps=steps - 1, evaluating=end == EVALUATE and not memory.kept)  # the last one is no more
     return memory, (state[0], state[1], residual, objective, steps)
 
 

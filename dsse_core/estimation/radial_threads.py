@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dsse_core.gauss_newton import GO_ON, LOST, USE_CURRENTS, correct_step, next_step
+from dsse_core.gauss_newton import GO_ON, LOST, USE_CURRENTS, correct_step, is_out_of_reach, next_step
 from dsse_core.radial.plan import RadialPlan
 
 Span = tuple[int, int]
@@ -87,7 +87,7 @@ class FeederIteration:
                 break
             steps, stepped, largest = steps + 1, end == GO_ON, max(self.dva, dvm) if finite else np.inf
             verdict, self.share = correct_step(taken, stepped, flows_known, self.dva if finite else np.inf, dvm)
-            if verdict == LOST:
+            if verdict == LOST or is_out_of_reach(dvm):
                 return LOST, steps, largest
             self._move_trunk()
             stepped = verdict == GO_ON

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from dsse_core.estimation.decision import Decision, Memory, Totals, Verdict, begin_at_flat_start, decide
+from dsse_core.estimation.decision import DIVERGED, Decision, Memory, Totals, Verdict, begin_at_flat_start, decide
 from dsse_core.estimation.divergence import IterationLostError
 from dsse_core.gauss_newton import LARGEST_STEP, Solution
 from dsse_core.grid.admittance import build_admittance, flat_start
@@ -130,7 +130,7 @@ def estimate_sparse(
     while True:
         memory, verdict = decide(memory, grid.totals(), tolerance)
         if verdict.reason or memory.removed != removed:  # of the plan's meters there is no estimate
-            raise grid.diverged()
+            raise grid.diverged(verdict.reason)
         grid.carry_out(verdict)
         if verdict.decision not in (Decision.EVALUATE, Decision.FINAL):
             continue
@@ -261,7 +261,7 @@ class SparseIteration:
         r = self._plan.model.subtract(self._values, self._plan.predict(self.x))
         return vm, va, r, self._find_objective(r), self._steps
 
-    def diverged(self) -> IterationLostError:
+    def diverged(self, reason: str = DIVERGED) -> IterationLostError:
         """The error for an iteration that has stopped here."""
         r = self._plan.model.subtract(self._values, self._plan.predict(self._before))
-        return IterationLostError(self._steps, max(self._size), abs(r) * self._weight)
+        return IterationLostError(self._steps, max(self._size), abs(r) * self._weight, reason)

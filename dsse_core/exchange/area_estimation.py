@@ -14,7 +14,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from dsse_core.errors import DsseError
-from dsse_core.estimation.decision import MOST_NAMED, Decision, Memory, Totals, Verdict
+from dsse_core.estimation.decision import MOST_NAMED, Decision, Memory, Totals, Verdict, limit_total
 from dsse_core.estimation.residuals import MeterChecks, find_dead
 from dsse_core.exchange.boundary_load import NetLoad, stand_in_as_it_was, stand_in_for
 from dsse_core.exchange.feeder_bad_data import (
@@ -249,11 +249,11 @@ class AreaEstimation:
         name, model, n = self.area.name, self.model, self._n
         size = abs(self._step)
         sizes = find_objective(model, self.x), float(size[:n].max()), float(size[n : 2 * n].max())
-        if not are_within_reason([self.area.n_areas * number for number in sizes]):  # the sum would be rejected by all
+        if np.isnan(sizes).any():
             self.fail(ArithmeticError("the state is beyond reason"))
         numbers: dict[str, Any] = {"failed": (name,)}
         if not self.failure:
-            objective, dva, dvm = sizes
+            objective, dva, dvm = map(limit_total, sizes)
             numbers = {
                 "objective": objective,
                 "degrees_of_freedom": count_freedom(model),
@@ -320,6 +320,12 @@ class AreaEstimation:
         self.failure = f"{type(error).__name__}: {error}"
         self.x = self._flat
         self._step = np.zeros_like(self.x)
+
+    @property
+    def deviation(self) -> float:
+        """The root mean square of the weighted residuals of the real meters in use, at x before the last step."""
+        n_real = len(self.model.real_ids)
+        return float(np.sqrt(find_objective(self.model, self.linearized_at) / n_real)) if n_real else 0.0
 
     def _check_information(self, received: Received) -> None:
         """A step without the information of one side would be that of another grid: who has no numbers sends none."""

@@ -18,8 +18,8 @@ VM, VA = 2, 3  # places of magnitude and angle in y
 
 
 def are_within_reason(numbers: Sequence[float]) -> bool:
-    """Whether the ``numbers`` of a message, one at least, are below BEYOND_REASON in size; nan is not."""
-    return math.isfinite(sum(numbers)) and min(numbers) > -BEYOND_REASON and max(numbers) < BEYOND_REASON
+    """Whether the ``numbers`` of a message, one at least, are BEYOND_REASON at most in size; nan is not."""
+    return math.isfinite(sum(numbers)) and min(numbers) >= -BEYOND_REASON and max(numbers) <= BEYOND_REASON
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ UNUSABLE = -1  # in place of a verdict: readings that cannot be
 N_BLOCK = 4 * N_INVERSE
 N_SPACE = 2 * (2 + 1) + 2 * 10 + N_FACTOR + N_MORE + 4 + N_KNOWN  # numbers for a bus: see ``carve``, ``carve_next``
 correct_step, next_step = compiled(gauss_newton.correct_step), compiled(gauss_newton.next_step)
+is_out_of_reach = compiled(gauss_newton.is_out_of_reach)
 
 
 def make_space(n: int) -> np.ndarray:
@@ -109,7 +110,7 @@ def iterate(
         dva, dvm, finite = descend(parent, place, factor, v, va, step, share, True, v_to, va_to)
         steps, stepped, largest = steps + 1, end == GO_ON, max(dva, dvm) if finite else np.inf
         verdict, length = correct_step(share, stepped, flows_known, dva if finite else np.inf, dvm)
-        if verdict == LOST:
+        if verdict == LOST or is_out_of_reach(dvm):
             end = LOST
             break
         if length != share or not length * dva < SMALL_ANGLE:

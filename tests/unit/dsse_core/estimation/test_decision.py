@@ -15,7 +15,15 @@ from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.estimation.decision import Decision, Memory, Totals, add_totals, decide
 from dsse_core.estimation.estimator import estimate_state
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
-from dsse_core.gauss_newton import FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM
+from dsse_core.gauss_newton import (
+    FARTHEST_DVM,
+    FULL_STEPS,
+    LARGEST_STEP,
+    MAX_DVA,
+    MAX_DVM,
+    MOST_STEPS,
+    MOST_STEPS_ANEW,
+)
 
 LIMIT = chi_square_limit(9, CONFIDENCE)
 
@@ -47,7 +55,7 @@ def test_a_full_step_and_a_half_one_give_no_rate():
 
 def test_a_step_beyond_all_states_begins_anew_at_the_flat_start_and_then_ends():
     memory, decided = decide(Memory(removed=("a",), steps=3, stepped=True), totals(2 * LARGEST_STEP))
-    assert (decided.decision, memory) == (Decision.ANEW, Memory(removed=("a",), from_flat_start=True))
+    assert (decided.decision, memory) == (Decision.ANEW, Memory(removed=("a",), from_flat_start=True, spent=3))
     _, decided = decide(Memory(steps=3, stepped=True, from_flat_start=True), totals(float("inf")))
     assert decided == verdict.Verdict(Decision.FINAL, reason=verdict.DIVERGED)
 
@@ -65,18 +73,19 @@ def test_without_an_estimate_the_meter_that_was_taken_out_last_comes_back_and_st
     without = Memory(removed=("a", "b"), steps=3, stepped=True, from_flat_start=True)
     for lost in (totals(2 * LARGEST_STEP), totals(failed=("a1",))):
         memory, decided = decide(without, lost)
-        assert (decided.decision, memory) == (Decision.ANEW, Memory(removed=("a",), kept="b"))
+        assert (decided.decision, memory) == (Decision.ANEW, Memory(removed=("a",), kept="b", spent=3))
     memory = replace(memory, steps=3, before=1e-3, stepped=True)
     assert decide(memory, totals(1e-6, objective=2 * LIMIT))[1] == verdict.Verdict(Decision.FINAL, with_step=True)
     memory, decided = decide(memory, totals(2 * LARGEST_STEP))
-    assert (decided.decision, memory) == (Decision.ANEW, Memory(removed=("a",), kept="b", from_flat_start=True))
+    kept = Memory(removed=("a",), kept="b", from_flat_start=True, spent=6)
+    assert (decided.decision, memory) == (Decision.ANEW, kept)
     assert decide(memory, totals(2 * LARGEST_STEP))[1] == verdict.Verdict(Decision.FINAL, reason=verdict.DIVERGED)
 
 
 def test_without_a_meter_the_start_of_the_scan_is_tried_first():
     memory = Memory(steps=3, before=1e-3, stepped=True, from_flat_start=True, evaluating=True)
     memory, _ = decide(memory, totals(1e-9, objective=2 * LIMIT, worst=(("a", 5.0),)))
-    assert memory == Memory(removed=("a",), tied=((),))
+    assert memory == Memory(removed=("a",), tied=((),), spent=3)
 
 
 def test_meters_that_equal_the_worst_are_remembered_with_it_and_forgotten_where_it_comes_back():
@@ -88,6 +97,37 @@ def test_meters_that_equal_the_worst_are_remembered_with_it_and_forgotten_where_
     assert anew.tied == memory.tied
     back, _ = decide(replace(anew, steps=3, stepped=True), totals(2 * LARGEST_STEP))
     assert (back.removed, back.tied, back.kept) == (("z",), ((),), "a")
+
+
+def test_a_magnitude_that_no_start_can_lead_to_ends_a_start_at_once():
+    far = totals(dvm=1.01 * FARTHEST_DVM)
+    memory, decided = decide(Memory(steps=1, stepped=True), far)
+    assert (decided.decision, memory) == (Decision.ANEW, Memory(from_flat_start=True, spent=1))
+    _, decided = decide(replace(memory, steps=1, stepped=True), far)
+    assert decided == verdict.Verdict(Decision.FINAL, reason=verdict.OUT_OF_REACH)
+    assert decide(Memory(steps=1, stepped=True), totals(dvm=0.99 * FARTHEST_DVM))[1].decision is Decision.SHORTEN
+
+
+def evaluate(memory: Memory, steps: int) -> tuple[Memory, verdict.Verdict]:
+    """The verdict on suspects after so many steps of a start."""
+    suspect = (f"m{len(memory.removed)}", 5.0)
+    return decide(replace(memory, steps=steps, evaluating=True), totals(objective=2 * LIMIT, worst=(suspect,)))
+
+
+def test_starts_that_end_well_are_begun_for_as_many_bad_meters_as_there_are():
+    memory = Memory()
+    for k in range(200):
+        memory, decided = evaluate(memory, FULL_STEPS)
+        assert decided.decision is Decision.ANEW, k
+    assert len(memory.removed) == 200
+
+
+def test_a_scan_whose_starts_end_badly_has_steps_for_two_of_them():
+    memory, decided = evaluate(Memory(), MOST_STEPS + MOST_STEPS_ANEW)
+    assert decided.decision is Decision.ANEW
+    memory, decided = evaluate(memory, FULL_STEPS + 1)
+    assert decided == verdict.Verdict(Decision.FINAL, reason=verdict.STEPS_USED_UP)
+    assert memory.removed == ("m0",)
 
 
 def draw_grid(seed: int):
@@ -118,9 +158,10 @@ def outcome(network, measurements, backend: str):
     try:
         report = process_bad_data(network, measurements, backend=backend)
     except EstimationDivergedError as error:
-        return "diverged", error.iterations
+        return error.reason, error.iterations
     removed = [removed.measurement.meter.id for removed in report.removed]
-    return removed, report.result.iterations, report.result.memory.from_flat_start, report.detected
+    memory = report.result.memory
+    return removed, report.result.iterations, memory.from_flat_start, memory.spent + memory.steps, report.detected
 
 
 @pytest.mark.long
@@ -139,7 +180,7 @@ def test_the_compiled_iteration_rests_on_the_same_estimate_where_a_removal_diver
     pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
     feeder = make_outvoted_feeder()
     compiled, sparse = (process_bad_data(feeder.network, feeder.measurements, backend=b) for b in ("radial", "sparse"))
-    assert (compiled.result.memory, compiled.suspect.reason) == (Memory(steps=0, kept="vm@3"), "diverges")
+    assert (compiled.result.memory.kept, compiled.suspect.reason) == ("vm@3", "diverges")
     np.testing.assert_allclose(compiled.result.vm, sparse.result.vm, atol=1e-9)
     assert sparse.result.memory.kept == "vm@3"
 
