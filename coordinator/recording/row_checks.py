@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -97,9 +98,9 @@ class RowCheck:
         self._columns = tuple(columns)
         self._count = 0  # of rows up to now
         place = {name: k for k, name in enumerate(columns)}
-        self._once = place.keys() >= {_ID.get(table, ""), *_ONCE.get(table, ())}
+        once = place.keys() >= {_ID.get(table, ""), *_ONCE.get(table, ())}
         self._id = place.get(_ID.get(table, ""), 0)
-        self._message = [place[name] for name in _ONCE.get(table, ()) if self._once]
+        self._message = itemgetter(*(place[name] for name in _ONCE[table])) if table in _ID and once else None
         self._given = [place[name] for name in _GIVEN if table == "readings" and name in place and "meter" in place]
         self._described = [place[name] for name in _DESCRIBED if table == "readings" and name in place]
         self._last: tuple[Any, ...] = ()
@@ -120,28 +121,30 @@ class RowCheck:
             raise self._error(row, self._columns[column], f"{what}, found {shown(rows[row][column])}") from None
         if self._given or len(self._described) > 1:
             self._check_given(rows)
-        if self._once:
-            self._check_once(rows)
+        if self._message is not None:
+            self._check_once(rows, self._message)
         self._count += len(rows)
 
     def _check_given(self, rows: Sequence[tuple[Any, ...]]) -> None:
+        meter, described = self._id, self._described
         for k, row in enumerate(rows):
             for place in self._given:
-                if (row[place] is None) != (row[self._id] is None):
+                if (row[place] is None) != (row[meter] is None):
                     lack = "missing of meter" if row[place] is None else f"{row[place]} stands without a meter,"
                     raise self._error(k, self._columns[place], f"{lack} {shown(row[self._id])}")
-            if len({row[place] is None for place in self._described}) > 1:
+            if len(described) > 1 and (row[described[0]] is None) != (row[described[1]] is None):
                 names = " and ".join(_DESCRIBED)
                 raise self._error(k, self._columns[self._described[1]], f"{names} go together, and one is missing")
 
-    def _check_once(self, rows: Sequence[tuple[Any, ...]]) -> None:
+    def _check_once(self, rows: Sequence[tuple[Any, ...]], message_of: Callable[[tuple[Any, ...]], Any]) -> None:
+        place, last, seen = self._id, self._last, self._seen
         for k, row in enumerate(rows):
-            message = tuple(row[place] for place in self._message)
-            if message != self._last:
-                self._last, self._seen = message, set()
-            if row[self._id] in self._seen:
-                raise self._error(k, self._columns[self._id], f"{shown(row[self._id])} stands twice in one message")
-            self._seen.add(row[self._id])
+            if (message := message_of(row)) != last:
+                last, seen = message, set()
+            if row[place] in seen:
+                raise self._error(k, self._columns[place], f"{shown(row[place])} stands twice in one message")
+            seen.add(row[place])
+        self._last, self._seen = last, seen
 
     def _error(self, row: int, column: str, what: str) -> InvalidInputError:
         problem = f"row {self._count + row + 1}: {column}: {what}; this row and those behind it are left out"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -122,21 +123,22 @@ def rows_of_segment(folder: Path, segment: str, needed: Mapping[str, Sequence[st
         InvalidInputError: a file cannot be read, or is none of a recording.
     """
     if (log := log_of(folder, segment)).exists():
-        places = {table: [list(COLUMNS[table]).index(name) for name in names] for table, names in needed.items()}
+        pick = {
+            table: itemgetter(*(list(COLUMNS[table]).index(name) for name in names)) for table, names in needed.items()
+        }
         for table, row in rows_of_log(folder, segment):
             if table in needed:
-                yield table, _name_file(log, needed[table], table, tuple(row[place] for place in places[table]))
+                picked = pick[table](row)
+                yield table, _name_file(log, needed[table], picked) if table == "events" else picked
         return
     for table, columns in needed.items():
         if (path := table_of(folder, table, segment)).exists():
             for row in read_rows(path, columns, ADDED.get(table, ())):
-                yield table, _name_file(path, columns, table, row)
+                yield table, _name_file(path, columns, row) if table == "events" else row
 
 
-def _name_file(path: Path, columns: Sequence[str], table: str, row: tuple[Any, ...]) -> tuple[Any, ...]:
-    """``row``, of an event that something is lost with the file in its details."""
-    if table != "events":
-        return row
+def _name_file(path: Path, columns: Sequence[str], row: tuple[Any, ...]) -> tuple[Any, ...]:
+    """The ``row`` of an event; where something is lost, with the file in its details."""
     event, details = columns.index("event"), columns.index("details")
     if row[event] not in LOST:
         return row
