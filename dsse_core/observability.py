@@ -16,8 +16,10 @@ import scipy.sparse.linalg as spla
 
 from dsse_core.errors import InvalidInputError, NotObservableError
 from dsse_core.grid.admittance import build_admittance, flat_start
+from dsse_core.grid.columns import Records, take_items
 from dsse_core.grid.measurement import MeasurementKind, Meter, find_meter_problems
 from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
+from dsse_core.grid.meter_table import KINDS, each_fits, number_kinds, number_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.radial_order import order_tableau
 from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern, reciprocal_row_lengths, scale_rows
@@ -36,6 +38,7 @@ MAX_CURES = 4
 # an indispensable meter 1e-14.
 NO_RESIDUAL = 1e-10
 
+_CURRENT = KINDS.index(MeasurementKind.CURRENT)
 _QUANTITY = {
     MeasurementKind.VM: "voltage magnitude",
     MeasurementKind.VA: "voltage angle",
@@ -54,7 +57,7 @@ def check_observable(network: Network, meters: Sequence[Meter], *, reference: in
         NotObservableError: naming every unobservable bus and, where one exists, a single added meter
             (of voltage, or of power, which reads P and Q) that would cure it.
     """
-    if problems := list(find_meter_problems(network, meters)):
+    if not _all_fit(network, meters) and (problems := list(find_meter_problems(network, meters))):
         raise InvalidInputError(f"meters of network {network.name!r}", problems)
     reference = find_reference(network, reference)
     null = find_null_vectors(network, meters, reference)
@@ -65,6 +68,13 @@ def check_observable(network: Network, meters: Sequence[Meter], *, reference: in
     buses = [bus.id for row, bus in enumerate(network.buses) if undetermined[row] or undetermined[n + row]]
     present = {meter.id for meter in meters}
     raise NotObservableError(buses, _find_cures(network, buses, present, null, reference))
+
+
+def _all_fit(network: Network, meters: Sequence[Meter]) -> bool:
+    """Whether columns of meters are known to have no problem, without a look at each."""
+    if not (isinstance(meters, Records) and each_fits(network, meters)):
+        return False
+    return len(np.unique(number_meters(network, meters))) == len(meters)
 
 
 def find_reference(network: Network, reference: int | None) -> int:
@@ -81,7 +91,12 @@ def find_reference(network: Network, reference: int | None) -> int:
 
 
 def find_indispensable(network: Network, meters: Sequence[Meter], reference: int) -> set[str]:
-    """Ids of the meters, virtual ones included, without any one of which ``meters`` no longer determine the state.
+    """Ids of the meters of ``find_indispensable_rows``."""
+    return {meters[row].id for row in np.flatnonzero(find_indispensable_rows(network, meters, reference)).tolist()}
+
+
+def find_indispensable_rows(network: Network, meters: Sequence[Meter], reference: int) -> np.ndarray:
+    """The meters, virtual ones included, without any one of which ``meters`` no longer determine the state, (n_meas,).
 
     Decided at no load and without current magnitudes, as ``check_observable`` does: losses and currents may
     check such a meter a little, but could not replace it. Fitted to random readings, an indispensable meter has
@@ -92,12 +107,13 @@ def find_indispensable(network: Network, meters: Sequence[Meter], reference: int
     model = _no_load_model(network, meters)
     A = _scaled_jacobian(network, model, reference)[:, free]
     order = order_tableau(network, reference, model, free)
-    pattern = AugmentedPattern(A, order.rows, fills_in=order.fills_in)
+    pattern = AugmentedPattern(A, order.rows, fills_in=order.fills_in, blocks=order.blocks)
     count = A.shape[0]
     readings = np.random.default_rng(0).standard_normal((count, WIDTH))
     residual, _ = AugmentedFactor(A, np.ones(count), pattern=pattern).solve(readings, np.zeros((len(free), WIDTH)))
-    counted = [meter.id for meter in meters if meter.kind is not MeasurementKind.CURRENT]
-    return {counted[row] for row in np.flatnonzero(abs(residual).max(axis=1) < NO_RESIDUAL)}
+    found: np.ndarray = number_kinds(meters) != _CURRENT
+    found[found] = abs(residual).max(axis=1) < NO_RESIDUAL
+    return found
 
 
 def find_null_vectors(network: Network, meters: Sequence[Meter], reference: int) -> np.ndarray:
@@ -107,13 +123,17 @@ def find_null_vectors(network: Network, meters: Sequence[Meter], reference: int)
     """
     n = len(network.buses)
     free = np.delete(np.arange(2 * n), network.row[reference])
-    A = _scaled_jacobian(network, _no_load_model(network, meters), reference)[:, free]
+    model = _no_load_model(network, meters)
+    A = _scaled_jacobian(network, model, reference)[:, free]
     n_meas, n_free = A.shape
-    factor = _factor_shifted(A)
+    order = order_tableau(network, reference, model, free)
+    pattern = AugmentedPattern(A, None if order.fills_in else order.rows)
+    factor = _factor_shifted(A, pattern)
     width = min(WIDTH, n_free)
     X = np.random.default_rng(0).standard_normal((n_free, width))
     for _ in range(3):  # each time multiplies what the meters do not see by 1e6 and more
-        X = np.linalg.qr(factor.solve(np.vstack([np.zeros((n_meas, width)), X]))[n_meas:])[0]
+        right = pattern.permute(np.vstack([np.zeros((n_meas, width)), X]))
+        X = np.linalg.qr(pattern.permute_back(factor.solve(right))[n_meas:])[0]
     at_least_square = np.vstack([A @ X, np.zeros((width, width))])
     _, singular, right = np.linalg.svd(at_least_square, full_matrices=False)
     unseen = X @ right.T[:, singular < NULL_SINGULAR_VALUE]
@@ -122,13 +142,12 @@ def find_null_vectors(network: Network, meters: Sequence[Meter], reference: int)
     return null
 
 
-def _factor_shifted(A: sp.csr_array) -> spla.SuperLU:
+def _factor_shifted(A: sp.csr_array, pattern: AugmentedPattern) -> spla.SuperLU:
     n_meas, n_free = A.shape
-    pattern = AugmentedPattern(A)
     for shift in SHIFTS:
         try:
             return pattern.factor_by_superlu(
-                pattern.fill(np.full(n_meas, TABLEAU_SCALE), A.data, np.full(n_free, -shift))
+                pattern.fill(np.full(n_meas, TABLEAU_SCALE), A.data, np.full(n_free, -shift)), exact=True
             )
         except RuntimeError:  # exactly singular
             continue
@@ -138,7 +157,7 @@ def _factor_shifted(A: sp.csr_array) -> spla.SuperLU:
 
 def _no_load_model(network: Network, meters: Sequence[Meter]) -> MeasurementModel:
     """Without charging and shunts, and without current magnitudes."""
-    meters = [meter for meter in meters if meter.kind is not MeasurementKind.CURRENT]
+    meters = take_items(meters, np.flatnonzero(number_kinds(meters) != _CURRENT))
     return build_measurement_model(network, build_admittance(network, with_shunts=False), meters)
 
 

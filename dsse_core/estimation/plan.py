@@ -16,7 +16,7 @@ from dsse_core.grid.columns import Records, take_items
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.meter_table import find_virtual
 from dsse_core.grid.network import Network
-from dsse_core.observability import check_observable, find_indispensable, find_reference
+from dsse_core.observability import check_observable, find_indispensable_rows, find_reference
 from dsse_core.radial.plan import RadialPlan, build_radial_plan, drop_meters
 
 Backend = Literal["radial", "sparse"]
@@ -57,10 +57,9 @@ class EstimationPlan:
 
     @cached_property
     def indispensable(self) -> np.ndarray:
-        """Which meters leave the state undetermined when taken out, shape (n_meas,); see ``find_indispensable``."""
+        """Meters that leave the state undetermined when taken out, shape (n_meas,); see ``find_indispensable_rows``."""
         if isinstance(self.radial, str):
-            found = find_indispensable(self.network, self.meters, self.reference)
-            return np.array([meter.id in found for meter in self.meters], dtype=bool)
+            return find_indispensable_rows(self.network, self.meters, self.reference)
         from dsse_core.radial.redundancy import find_radial_indispensable  # numba, loaded when the plan was built
 
         return find_radial_indispensable(self.radial)

@@ -31,7 +31,7 @@ class SparsePlan:
     ``at_start``: the factor there for the last sigmas, which most meters keep from scan to scan.
     """
 
-    meters: tuple[Meter, ...]
+    meters: Sequence[Meter]
     model: MeasurementModel
     free: np.ndarray
     entries: np.ndarray
@@ -109,8 +109,8 @@ def build_sparse_plan(network: Network, meters: Sequence[Meter], reference: int)
     indptr = np.searchsorted(entries, H.indptr)
     reduced = sp.csr_array((H.data[entries], indices, indptr), shape=(len(meters), len(free)))
     order = order_tableau(network, reference, model, free)
-    pattern = AugmentedPattern(reduced, order.rows, fills_in=order.fills_in)
-    return SparsePlan(tuple(meters), model, free, entries, reduced, pattern, start)
+    pattern = AugmentedPattern(reduced, order.rows, fills_in=order.fills_in, blocks=order.blocks)
+    return SparsePlan(meters, model, free, entries, reduced, pattern, start)
 
 
 def estimate_sparse(

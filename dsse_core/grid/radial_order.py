@@ -13,6 +13,7 @@ from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.grid.measurement_model import MeasurementModel
 from dsse_core.grid.network import Network
 
+_AT_BRANCHES = tuple(kind for kind in MeasurementKind if kind.of_branch)
 _INJECTIONS = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
 
 
@@ -72,20 +73,33 @@ class TableauPlaces:
 @dataclass(frozen=True)
 class TableauOrder:
     """``rows`` (n_meas + n_free,): of the tableau, as they are eliminated. ``fills_in``: whether the factor is fuller
-    than the tableau, so that pivots must not be moved far.
+    than the tableau, so that pivots must not be moved far. ``blocks`` (n_meas + n_free,), of a tree: of the rows in
+    that order the place of the bus that each belongs to.
     """
 
     rows: np.ndarray
     fills_in: bool
+    blocks: np.ndarray | None
 
 
-def order_tableau(network: Network, reference: int, model: MeasurementModel, free: np.ndarray) -> TableauOrder:
-    """The order of the tableau [meters; state variables ``free``]; see ``place_tableau``."""
+def order_tableau(
+    network: Network, reference: int, model: MeasurementModel, free: np.ndarray, n_read: int = 0
+) -> TableauOrder:
+    """The order of the tableau [meters; state variables ``free``]; see ``place_tableau``.
+
+    ``n_read``: of the last meters, whose readings are further unknowns, after the voltages.
+    """
     tree = find_tree(network, reference)
     has_loops = isinstance(tree, str)
     places = place_tableau(order_buses(network), model) if isinstance(tree, str) else place_in_tree(tree, model)
-    of_free = places.of_bus[free % len(places.of_bus)]
-    return TableauOrder(np.argsort(np.concatenate([places.of_meter, of_free]), kind="stable"), has_loops)
+    at_branch = np.isin(model.kinds, _AT_BRANCHES)
+    of_meter = np.where(at_branch, places.of_meter, places.of_bus[model.bus_row])
+    read = of_meter[len(of_meter) - n_read :]
+    of_free = np.concatenate([places.of_bus[free % len(places.of_bus)], read - read % 3 + 2])
+    rows = np.argsort(np.concatenate([places.of_meter, of_free]), kind="stable")
+    if has_loops:
+        return TableauOrder(rows, has_loops, None)
+    return TableauOrder(rows, has_loops, np.concatenate([of_meter, of_free])[rows] // 3)
 
 
 def place_in_tree(tree: Tree, model: MeasurementModel) -> TableauPlaces:

@@ -22,6 +22,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from dsse_core.compiling import find_obstacle
+from dsse_core.matrices.block_tree import BlockTree, find_block_tree
 from dsse_core.matrices.selected_inverse import find_inverse_diagonal, find_inverse_entries
 
 if TYPE_CHECKING:
@@ -53,14 +54,21 @@ class AugmentedPattern:
 
     ``order`` (n_meas + n_state,): the tableau's rows in the order of elimination; SuperLU's COLAMD without it.
     ``fills_in``: whether the factor in that order is fuller than the tableau. ``careful``: whether pivots
-    are the largest, by SuperLU, so that no digit is lost, rather than those that fill in least.
+    are the largest, by SuperLU, so that no digit is lost, rather than those that fill in least. ``blocks`` (n_meas +
+    n_state,): of the rows in that order, where these make a tree.
     ``place`` (n_meas + n_state,): where each row of the tableau is in that order.
     """
 
     def __init__(
-        self, H: sp.csr_array, order: np.ndarray | None = None, *, fills_in: bool = False, careful: bool = False
+        self,
+        H: sp.csr_array,
+        order: np.ndarray | None = None,
+        *,
+        fills_in: bool = False,
+        careful: bool = False,
+        blocks: np.ndarray | None = None,
     ) -> None:
-        self.order, self.fills_in, self._careful = order, fills_in, careful
+        self.order, self.fills_in, self._careful, self._blocks = order, fills_in, careful, blocks
         self.row = _row_of_entries(H)
         self._size = sum(H.shape)
         self.place = place = np.arange(self._size)
@@ -68,16 +76,21 @@ class AugmentedPattern:
             place[order] = np.arange(self._size)
         row, column = place[self.row], place[H.shape[0] + H.indices]
         rows, columns = np.concatenate([place, row, column]), np.concatenate([place, column, row])
-        self._gather = np.argsort(columns * self._size + rows)  # no two are equal
-        indptr = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=self._size))]).astype(np.int32)
-        values, indices = np.zeros(len(rows)), rows[self._gather].astype(np.int32)
-        self._empty = sp.csc_array((values, indices, indptr), shape=(self._size, self._size))
+        shape = self._size, self._size
+        numbers = sp.csc_array((np.arange(len(rows)), (rows, columns)), shape=shape)  # no two in one place
+        numbers.sort_indices()
+        self._gather, values = numbers.data, np.zeros(len(rows))
+        self._empty = sp.csc_array((values, numbers.indices, numbers.indptr), shape=shape)
 
     @cached_property
     def is_compiled(self) -> bool:
         """Whether elimination in this order is: decided once, when it is first asked for."""
         can_pay = self.order is not None and self._size >= FEWEST_COMPILED and not self._careful
         return can_pay and find_obstacle("sparse") is None
+
+    @cached_property
+    def tree(self) -> BlockTree | None:
+        return None if self._blocks is None else find_block_tree(self._empty, self._blocks)
 
     def fill(self, above: np.ndarray, data: np.ndarray, below: np.ndarray) -> sp.csc_array:
         """``[[diag(above), H], [H', diag(below)]]`` in the order of elimination, ``data`` the entries of H."""
@@ -230,7 +243,7 @@ class AugmentedFactor:
         Nan where the selected inverse declines and solves would cost more than MOST_SOLVED.
         """
         rows, columns = self._n_meas + np.asarray(rows), self._n_meas + np.asarray(columns)
-        found = self._find_compiled(rows, columns)
+        found = self._find_selected(rows, columns) if len(self._scale) >= FEWEST_SELECTED else None
         if found is None and len(self._scale) >= FEWEST_SELECTED:
             place = self._pattern.place
             factor = self._pattern.factor_by_superlu(self._tableau, exact=True)
@@ -240,15 +253,16 @@ class AugmentedFactor:
             return np.full(len(rows), np.nan)
         return np.asarray((self._solve_entries(rows, columns) if found is None else found) / -self._a)
 
-    def _find_compiled(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
-        """Entries of the inverse of the tableau by compiled elimination; solutions where that loses digits.
+    def _find_selected(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
+        """Entries of the inverse of the tableau by compiled elimination or on a tree; solutions where digits are lost.
 
-        None where it is not compiled, there are too many solutions, or an entry is far from all of the tableau.
+        None where it is neither, there are too many solutions, or an entry is far from all of the tableau.
         """
-        if isinstance(self._lu, spla.SuperLU):
+        by = self._pattern.tree if isinstance(self._lu, spla.SuperLU) else self._lu
+        if by is None:
             return None
         place = self._pattern.place
-        found, wrong = self._lu.find_inverse(self._tableau, place[rows], place[columns])
+        found, wrong = by.find_inverse(self._tableau, place[rows], place[columns])
         if np.isnan(found).any() or len(self._scale) * len(np.unique(columns[wrong])) > MOST_SOLVED:
             return None
         found *= self._scale[rows] * self._scale[columns]
@@ -290,8 +304,8 @@ class AugmentedFactor:
         if len(self._scale) < FEWEST_SELECTED:
             return None
         everywhere = np.arange(len(self._scale))
-        if (compiled := self._find_compiled(everywhere, everywhere)) is not None:
-            return compiled
+        if (selected := self._find_selected(everywhere, everywhere)) is not None:
+            return selected
         found = find_inverse_diagonal(self._tableau, self._pattern.factor_by_superlu(self._tableau, exact=True))
         if found is None and self._pattern.fills_in:  # fewer entries, and accurate enough for most grids
             found = find_inverse_diagonal(self._tableau, self._pattern.factor_by_superlu(self._tableau))

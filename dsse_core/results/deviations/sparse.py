@@ -12,9 +12,13 @@ import scipy.sparse as sp
 from dsse_core.estimation.estimator import EstimationResult
 from dsse_core.estimation.residuals import LEAST_REDUCTION
 from dsse_core.grid.admittance import build_admittance
+from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.measurement_model import build_measurement_model
-from dsse_core.matrices.augmented import AugmentedFactor
+from dsse_core.grid.meter_table import KINDS, NO_BRANCH, join_meters, make_meters, tabulate_meters
+from dsse_core.grid.network import Network
+from dsse_core.grid.radial_order import order_tableau
+from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
 
 FLOWS = (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW)
 INJECTIONS = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
@@ -27,19 +31,16 @@ class SparseDeviations:
 
     def __init__(self, result: EstimationResult) -> None:
         network, n = result.network, len(result.vm)
-        self._result, active = result, network.active_branches
+        self._result, self._active = result, network.table.active
         self._metered = _metered_injections(result)
         self._unmetered = np.argwhere(np.isnan(self._metered))
-        meters = [Meter(kind, b.from_bus, b.id) for kind in FLOWS for b in active]
-        meters += [Meter(INJECTIONS[kind], network.buses[row].id) for kind, row in self._unmetered.tolist()]
-        self._factor = _extended_factor(result, meters)
+        self._factor = _extended_factor(result, _meters_of(network, self._unmetered))
         position = np.full(2 * n, -1)
         position[result.free] = np.arange(len(result.free))
         self._of_vm = position[n:]
-        self._of_p = len(result.free) + np.arange(len(active))
-        self._first_injection = len(result.free) + 2 * len(active)
-        self._rows_from = np.array([network.row[b.from_bus] for b in active], dtype=np.int64)
-        self._active = np.flatnonzero([b.in_service for b in network.branches])
+        self._of_p = len(result.free) + np.arange(len(self._active))
+        self._first_injection = len(result.free) + 2 * len(self._active)
+        self._rows_from = network.table.f
 
     def of_branches_and_injections(self) -> tuple[np.ndarray, np.ndarray]:
         """Of the branches in service: covariance of P, Q and ln vm at the from end, (n_active, 3, 3); and the variances
@@ -81,20 +82,38 @@ def _select(by: sp.csr_array, columns: np.ndarray, scale: np.ndarray, n: int) ->
     return sp.csr_array((by.data * scale[by.indices], columns[by.indices], by.indptr), shape=(by.shape[0], n))
 
 
+def _meters_of(network: Network, unmetered: np.ndarray) -> Records[Meter]:
+    """P and Q at the from ends of branches in service, and the injections ``unmetered`` (k, 2): kind and row of bus."""
+    table, p, q = network.table, *(KINDS.index(kind) for kind in FLOWS)
+    active, kinds = table.active, np.array([KINDS.index(kind) for kind in INJECTIONS])
+    kind = np.concatenate([np.full(len(active), p), np.full(len(active), q), kinds[unmetered[:, 0]]])
+    bus = np.concatenate([table.from_bus[active], table.from_bus[active], table.bus_id[unmetered[:, 1]]])
+    return make_meters(network, kind, bus, np.concatenate([active, active, np.full(len(unmetered), NO_BRANCH)]))
+
+
 def _metered_injections(result: EstimationResult) -> np.ndarray:
     """Variances of metered injections, ``R - Omega``, (2, n_bus); nan where there is no meter that says much."""
     found = np.full((2, len(result.vm)), np.nan)
     variance = result.sigmas**2 - result.residual_variance
     is_informative = variance >= LEAST_REDUCTION * result.sigmas**2
-    for meter, value, counts in zip(result.plan.meters, variance.tolist(), is_informative.tolist(), strict=True):
-        if meter.kind.of_injection and counts:
-            found[INJECTIONS.index(meter.kind), result.network.row[meter.bus]] = max(value, 0.0)
+    table = tabulate_meters(result.network, result.plan.meters)
+    for row, kind in enumerate(INJECTIONS):
+        here = np.flatnonzero(is_informative & (table.kind == KINDS.index(kind)))
+        found[row, table.bus[here]] = np.maximum(variance[here], 0.0)
     return found
 
 
-def _extended_factor(result: EstimationResult, meters: list[Meter]) -> AugmentedFactor:
+def _extended_factor(result: EstimationResult, meters: Records[Meter]) -> AugmentedFactor:
     """The factor of the tableau with what perfect ``meters`` read as further unknowns."""
-    model = build_measurement_model(result.network, build_admittance(result.network), meters)
-    of_y = model.jacobian(np.concatenate([result.va, result.vm]))[:, result.free]
-    H = sp.block_array([[result.jacobian, None], [of_y, -sp.eye_array(len(meters))]], format="csr")
-    return AugmentedFactor(sp.csr_array(H), np.concatenate([result.sigmas, np.zeros(len(meters))]))
+    network, n_read = result.network, len(meters)
+    model = build_measurement_model(
+        network, build_admittance(network), join_meters(network, [result.plan.meters, meters])
+    )
+    of_x = model.jacobian(np.concatenate([result.va, result.vm]))[:, result.free]
+    of_y = sp.eye_array(of_x.shape[0], n_read, k=-len(result.sigmas))
+    H = sp.csr_array(sp.hstack([of_x, -of_y], format="csr"))
+    order = order_tableau(network, result.reference, model, result.free, n_read)
+    pattern = None
+    if order.blocks is not None:  # with loops minimum degree of the whole tableau fills in less
+        pattern = AugmentedPattern(H, order.rows, blocks=order.blocks)
+    return AugmentedFactor(H, np.concatenate([result.sigmas, np.zeros(n_read)]), pattern=pattern)
