@@ -20,6 +20,11 @@ ALIGNED = 64  # bytes
 MOST_BUSES = 20_000  # from some 10,000 on memory is what takes time, and a thread wants 3 kB of it for a bus
 
 
+def count_bytes(n: int) -> int:
+    """Size of ``make_space`` of n buses."""
+    return 8 * LANES * (N_BLOCK + N_SPACE * n)
+
+
 def make_space(n: int) -> np.ndarray:
     """Memory of an iteration on n buses, (:, LANES), each row of it in one line of the processor's cache.
 

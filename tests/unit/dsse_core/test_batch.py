@@ -302,3 +302,19 @@ def test_readings_that_cannot_be_are_named_on_threads_too(case):
     values[0, 70] = np.nan
     with pytest.raises(InvalidInputError, match=plan.meters[70].id):
         estimate_with_plan(plan, values[0], sigmas, threads=2)
+
+
+def test_rows_side_by_side_go_to_as_many_threads_as_have_room_in_the_cache(case, monkeypatch):
+    pytest.importorskip("numba")
+    from dsse_core.estimation import batch as batch_module
+    from dsse_core.radial.together import count_bytes
+
+    plan, values, sigmas = scans_of(case("case33bw"), "radial", 16)
+    asked = []
+    monkeypatch.setattr(batch_module, "share_out", lambda n_row, threads, *_, **__: asked.append(threads))
+    monkeypatch.setattr(batch_module, "CACHE_BYTES", 2 * count_bytes(33))
+    estimate_batch(plan, values, sigmas, threads=4)
+    monkeypatch.setattr(batch_module, "CACHE_BYTES", 1)
+    estimate_batch(plan, values, sigmas, threads=4)
+    estimate_batch(plan, values, np.tile(sigmas, (16, 1)), threads=4)  # row by row
+    assert asked == [2, 1, 4]
