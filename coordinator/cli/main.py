@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,6 +26,7 @@ from coordinator.cli.studies import study_commands
 from coordinator.cli.terminal import (
     answering_once,
     changed,
+    end_output,
     finish_run,
     notify,
     progress,
@@ -38,8 +40,9 @@ from coordinator.cli.terminal import (
     timeout_option,
 )
 from coordinator.cli.thesis import thesis
-from coordinator.interrupts import INTERRUPTED_CODE, end_orderly_on_signals
+from coordinator.interrupts import INTERRUPTED_CODE, decide, end_orderly_on_signals
 from coordinator.operate.command import operator_commands
+from dsse_core import compiling
 from dsse_core.errors import DsseError
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
@@ -67,7 +70,29 @@ def run_command(arguments: Sequence[str]) -> int:
         return 2
     except (KeyboardInterrupt, click.Abort):
         return report_interrupted()
-    return int(code or 0)
+    code = int(code or 0)
+    _compile_for_next_time(code)
+    return code
+
+
+def _compile_for_next_time(code: int) -> None:
+    """After the answer to a question about a large network, have the next one answered sooner; see ``only_loading``.
+
+    In this process, so that none stays behind. Who reads the answer through a pipe has its end before. A signal ends
+    the command with ``code``.
+    """
+    if not compiling.has_done_without():
+        return
+    from coordinator.process_run.compile_ahead import compile_for_next_time
+
+    decide(code)
+    notify(
+        "the answer is complete; the compiled solver for the next ones is made now, once, in half a minute of a "
+        "processor: Ctrl-C leaves it out (`dsse compile` makes all of it)"
+    )
+    end_output()
+    with suppress(KeyboardInterrupt):
+        compile_for_next_time()
 
 
 def report_interrupted() -> int:

@@ -157,6 +157,14 @@ def show(text: str) -> bool:
     return True
 
 
+def end_output() -> None:
+    """Let a pipe that reads standard output see its end, although the process goes on; a terminal stays."""
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+        if not sys.stdout.isatty():
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def notify(text: str) -> None:
     """Print on standard error, printable, if anybody still reads it."""
     with suppress(OSError):

@@ -1,4 +1,5 @@
-"""``dsse compile``: fills the place of compiled code ahead of the first run, for an image or by an administrator."""
+"""``dsse compile``: fills the place of compiled code ahead of the first run, for an image or by an administrator; and
+what a command on a large network leaves there for the next one."""
 
 from __future__ import annotations
 
@@ -15,6 +16,17 @@ class CompiledAhead:
 
     folder: str | None
     found_in: tuple[str, ...]
+
+
+def compile_for_next_time() -> None:
+    """Compile what this process has done without on a large network, in this process, and keep it."""
+    from agents.runtime.warm_up import warm_up_estimate, warm_up_sparse
+
+    missed = compiling.take_done_without()
+    if "estimate" in missed:  # in a radial network, and then nothing else is needed
+        warm_up_estimate()
+    elif "sparse" in missed:
+        warm_up_sparse()
 
 
 def compile_ahead() -> CompiledAhead:

@@ -43,6 +43,7 @@ REFINED = 1e-6  # of a correction to a solution, whose square is what is left; e
 FEWEST_COMPILED = 2500
 PIVOT = 0.1  # of a compiled elimination that fills in nothing, in parts of the largest entry left in the column
 PIVOT_FILLING_IN = 1e-3  # of one that does: a pivot that is moved fills in more
+ROWS_OF_A_BUS = 6  # about: two of voltages, and its meters
 FEWEST_SELECTED = 400  # rows of the tableau, from which the selected inverse takes less than solves
 MOST_SOLVED = 100_000_000  # rows of the tableau times right-hand sides: some ten seconds
 FEW_SOLVED = 256  # right-hand sides, where MOST_SOLVED does not allow all
@@ -86,7 +87,7 @@ class AugmentedPattern:
     def is_compiled(self) -> bool:
         """Whether elimination in this order is: decided once, when it is first asked for."""
         can_pay = self.order is not None and self._size >= FEWEST_COMPILED and not self._careful
-        return can_pay and find_obstacle("sparse") is None
+        return can_pay and find_obstacle("sparse", self._size // ROWS_OF_A_BUS) is None
 
     @cached_property
     def tree(self) -> BlockTree | None:

@@ -116,9 +116,9 @@ def build_radial_plan(network: Network, meters: Sequence[Meter], *, reference: i
         NotObservableError: the meters do not determine the state.
     """
     reference = find_reference(network, reference)
-    if (obstacle := compiling.find_obstacle()) is not None:
-        return obstacle
     table = network.table
+    if (obstacle := compiling.find_obstacle(n_bus=len(table.bus_id))) is not None:
+        return obstacle
     root = table.rows.row_of(reference)
     angle = float(network.slack.va) if network.slack and network.slack.bus == reference else 0.0
     (n_branch, fit, stuck), found = _load_compiled().plan_tree(

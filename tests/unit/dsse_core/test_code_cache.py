@@ -185,6 +185,25 @@ def test_a_command_that_answers_one_question_does_not_compile_and_the_next_one_m
         assert compiling.find_obstacle() is None
 
 
+def test_on_a_large_network_it_is_noted_for_afterwards_and_on_a_huge_one_compiled_at_once(kept_in: Path, monkeypatch):
+    monkeypatch.setattr(compiling, "find_folder_to_keep_in", lambda: kept_in)
+    with compiling.only_loading():
+        assert compiling.find_obstacle(n_bus=compiling.FEWEST_BUSES_AFTERWARDS - 1)
+        assert not compiling.has_done_without()
+        assert "after this answer" in (compiling.find_obstacle(n_bus=compiling.FEWEST_BUSES_AFTERWARDS) or "")
+        assert compiling.has_done_without()
+        assert compiling.find_obstacle(n_bus=compiling.FEWEST_BUSES_AT_ONCE) is None
+    assert compiling.take_done_without() == {"estimate"}
+    assert not compiling.has_done_without()
+
+
+def test_where_code_cannot_be_kept_nothing_is_compiled_afterwards(kept_in: Path, monkeypatch):
+    monkeypatch.setattr(compiling, "find_folder_to_keep_in", lambda: None)
+    with compiling.only_loading():
+        assert "`dsse compile` makes it" in (compiling.find_obstacle(n_bus=100_000) or "")
+    assert not compiling.has_done_without()
+
+
 def test_code_of_another_processor_or_other_sources_is_not_taken_for_ready(
     kept_in: Path, monkeypatch: pytest.MonkeyPatch
 ):
