@@ -34,7 +34,9 @@ NETWORK = Network(
 
 
 def warm_up() -> None:
-    """Go once through all that an area with a parent and a child computes on its tree, and note where it is kept."""
+    """Go once through all that an area with a parent and a child computes on its tree, and note where it is kept: with
+    the reference seen, too, away from the child.
+    """
     area = build_partition(NETWORK, {"up": [1, 2], "here": [2, 3], "down": [3, 4]}).area("here")
     kinds = (MeasurementKind.VM, MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
     meters = [Meter(kind, bus.id) for bus in area.network.buses for kind in kinds]
@@ -48,6 +50,9 @@ def warm_up() -> None:
     for known in ({}, received):
         model.linear.step(x, known)
         model.linear.variances(x, known)
+    with_reference = build_area_model(area, readings, NETWORK.buses[1].id, backend="radial")
+    for n in area.neighbours:
+        with_reference.linear.information(x, n, received)
     chi_square_limit(1, 0.5)  # which imports what takes 0.1 s and 6 MiB
     _note("exchange")
 

@@ -17,6 +17,7 @@ from dsse_core.linear.radial import RadialSolver
 def test_warming_up_goes_through_every_pass_of_the_tree(monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("numba")
     from dsse_core.radial import boundary as radial_boundary
+    from dsse_core.radial import inverse as radial_inverse
     from dsse_core.radial import root as radial_root
 
     declined: list[str] = []
@@ -28,6 +29,7 @@ def test_warming_up_goes_through_every_pass_of_the_tree(monkeypatch: pytest.Monk
         radial_root.describe_root,
         radial_boundary.step_downward,
         radial_boundary.variances_downward,
+        radial_inverse.find_last_angle,
     ):
         assert len(kernel.signatures) >= 1
 
