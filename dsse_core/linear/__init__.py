@@ -1,4 +1,4 @@
-"""The numerics of one area behind one interface: step, information of a boundary, variances."""
+"""The numerics of one area behind one interface: step, information of a boundary, variances, covariance of rows."""
 
 from dsse_core.linear.area_measurements import Backend
 from dsse_core.linear.choose import choose_backend, make_linear, make_no_load, make_rows, needs_compiled_code

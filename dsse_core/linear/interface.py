@@ -1,4 +1,4 @@
-"""What every back end of an area's numerics answers; which one it is nobody else asks."""
+"""The four questions that every back end of an area's numerics answers; which one it is nobody else asks."""
 
 from __future__ import annotations
 
@@ -45,6 +45,10 @@ class LinearArea(ABC):
         """diag(G^-1), shape (size,), and diag(Omega) of the area's own measurements, shape (n_meas,) (eq. 3.22), 0 for
         virtual ones.
         """
+
+    @abstractmethod
+    def covariance(self, x: np.ndarray, received: Received, B: np.ndarray) -> np.ndarray:
+        """``B G^-1 B'``, (k, k), of the linear functions of the state that the rows of ``B``, (k, size), are."""
 
     @abstractmethod
     def with_readings(self, model: AreaMeasurements) -> Self:

@@ -111,6 +111,10 @@ class RadialSolver(LinearArea):
         found = self._find_variances(x, received, (NOT_YET, NOT_YET_OF_POWER))
         return self._by_rows.variances(x, received) if found is None else found
 
+    def covariance(self, x: np.ndarray, received: Received, B: np.ndarray) -> np.ndarray:
+        """By rows: the tree has covariances of one bus and the branch above it only."""
+        return self._by_rows.covariance(x, received, B)
+
     def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
         found = self._find_information(x, neighbour, received)
         return self._by_rows.information(x, neighbour, received) if found is None else found

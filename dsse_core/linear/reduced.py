@@ -126,22 +126,31 @@ class ReducedSolver(RowSolver):
     def variances(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, np.ndarray]:
         """Sums of squares, so that no digit is lost however far sigmas and impedances are apart.
 
-        With ``dx = F e``, e of variance 1, ``G^-1 = F F'``; and with Q_0 the directions in which the weighted rows have
-        no part, ``Omega = R^(1/2) Q_0 Q_0' R^(1/2)``.
+        With Q_0 the directions in which the weighted rows have no part, ``Omega = R^(1/2) Q_0 Q_0' R^(1/2)``; F: see
+        ``_spread``.
         """
-        reduced, order = self._reduce(x), self._order
-        within, n = reduced.within, order.n_within
-        rows, k = self._stack(reduced, received, with_shifts=True)[:, order.of_step], len(order.of_step) - 1
-        last = _eliminate(rows, k)
-        of_y = np.zeros((order.n_boundary, k))
-        of_y[order.of_step[:-1]] = last.spread(of_y[:0, :0])
-        F = np.zeros((self.model.size, n + k))
-        F[order.read[:n]], F[order.read[n:], n:] = within.spread(of_y), of_y[: len(order.read) - n]
-        F[:, n:] += order.shift(x, *of_y[-2:])
-        left = within.turn_back(last.turn_back(np.eye(len(rows) - k, order="F"))[: len(within.rows)])
+        F, last = self._spread(x, received)
+        within, k = self._reduce(x).within, len(last.order)
+        left = within.turn_back(last.turn_back(np.eye(len(last.taken) - k, order="F"))[: len(within.rows)])
         of_meters = left[: len(self.model.z)]
         R = 1 / self.model.contribution(self.rows.predict(x)).weight
         return np.vecdot(F, F), self.model.real_part(R * np.vecdot(of_meters, of_meters))
+
+    def covariance(self, x: np.ndarray, received: Received, B: np.ndarray) -> np.ndarray:
+        of_rows = B @ self._spread(x, received)[0]
+        return np.asarray(of_rows @ of_rows.T)
+
+    def _spread(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, _Eliminated]:
+        """F with ``dx = F e`` for e of variance 1, so that ``G^-1 = F F'``, and the second stage."""
+        reduced, order = self._reduce(x), self._order
+        n, k = order.n_within, len(order.of_step) - 1
+        last = _eliminate(self._stack(reduced, received, with_shifts=True)[:, order.of_step], k)
+        of_y = np.zeros((order.n_boundary, k))
+        of_y[order.of_step[:-1]] = last.spread(of_y[:0, :0])
+        F = np.zeros((self.model.size, n + k))
+        F[order.read[:n]], F[order.read[n:], n:] = reduced.within.spread(of_y), of_y[: len(order.read) - n]
+        F[:, n:] += order.shift(x, *of_y[-2:])
+        return F, last
 
     def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
         reduced, (columns, places) = self._reduce(x), self._order.towards[neighbour.area]

@@ -81,6 +81,11 @@ class TableauSolver(RowSolver):
         of_state[self.model.free] = factor.state_variance()
         return of_state, self.model.real_part(factor.residual_variance()[: len(self.model.z)])
 
+    def covariance(self, x: np.ndarray, received: Received, B: np.ndarray) -> np.ndarray:
+        H, _, sigma = self.stack(x, received)
+        B = B[:, self.model.free]
+        return np.asarray(B @ self.factor(H, sigma, self.model.free).covariance_times(B.T))
+
     def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
         """What ``neighbour`` is to receive: everything but y eliminated, its own message left out.
 

@@ -161,7 +161,7 @@ def injections_of(model: AreaModel, rng: np.random.Generator) -> CoupledRows:
 def reference_of(
     model: AreaModel, x: np.ndarray, received: Mapping[str, BoundaryInformation]
 ) -> tuple[np.ndarray, ...]:
-    """Step and variances from one dense factor of all weighted rows, heavy ones first and columns pivoted."""
+    """Step and covariance from one dense factor of all weighted rows, heavy ones first and columns pivoted."""
     own = model.contribution(model.predict(x))
     H, r, root = [model.rows.full(model.jacobian(x))], [own.residual + own.shift], [own.weight**0.5]
     for further in (rows.at(x) for rows in model.further):
@@ -173,9 +173,9 @@ def reference_of(
     rows = np.concatenate(root)[:, None] * np.column_stack([np.concatenate(H)[:, model.free], np.concatenate(r)])
     rows = rows[np.argsort(-abs(rows[:, :-1]).max(axis=1))]
     Q, triangle, order = scipy.linalg.qr(rows[:, :-1], mode="economic", pivoting=True)
-    inverse, dx, variance = scipy.linalg.inv(triangle), np.zeros(model.size), np.zeros(model.size)
-    dx[model.free[order]], variance[model.free[order]] = inverse @ (Q.T @ rows[:, -1]), (inverse**2).sum(axis=1)
-    return dx, variance
+    inverse, dx, F = scipy.linalg.inv(triangle), np.zeros(model.size), np.zeros((model.size, len(model.free)))
+    dx[model.free[order]], F[model.free[order]] = inverse @ (Q.T @ rows[:, -1]), inverse
+    return dx, F @ F.T
 
 
 @needs_numba
@@ -191,7 +191,8 @@ def test_a_second_method_and_further_rows_are_those_of_the_dense_reference_on_al
         for further in ((), prior, (*prior, injections_of(case.sparse, rng))):
             asked = replace(case.sparse, method=halve_outliers, further=further)
             assert asked.contribution(asked.predict(x)).shift.any()
-            dx, variance = reference_of(asked, x, case.received)
+            dx, covariance = reference_of(asked, x, case.received)
+            variance = covariance.diagonal()
             for backend in ("sparse", "dense", "radial"):
                 model = replace(asked, backend=backend)
                 n = 2 * len(model.area.network.buses)
@@ -200,6 +201,9 @@ def test_a_second_method_and_further_rows_are_those_of_the_dense_reference_on_al
                 np.testing.assert_allclose(found[:n], dx[:n], rtol=0, atol=1e-7 * abs(dx[:n]).max())
                 found, _ = model.linear.variances(x, case.received)
                 np.testing.assert_allclose(found[:n], variance[:n], rtol=1e-6, atol=1e-17)
+                B = rng.normal(size=(3, n)) @ np.eye(n, model.size)
+                found, expected = model.linear.covariance(x, case.received, B), B @ covariance @ B.T
+                np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * expected.diagonal().max())
                 for neighbour in model.area.neighbours:
                     assert_same_information(Case(asked, model, x, case.received), neighbour)
 
