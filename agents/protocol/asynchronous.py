@@ -26,6 +26,7 @@ from agents.peers.rejections import find_unreasonable
 from agents.protocol.area_protocol import AreaProtocol
 from agents.protocol.configuration import Configuration
 from agents.protocol.events import Action, Publish
+from agents.protocol.gateway_watch import GatewayWatch
 from agents.protocol.quality import (
     DEGRADED,
     NONE,
@@ -42,6 +43,7 @@ from agents.protocol.quality import (
     find_meters_off,
     find_missing_readings,
     find_missing_side,
+    find_mistaken_gateways,
     find_other_splits,
     find_overdue_readings,
     find_rejected_clocks,
@@ -69,6 +71,7 @@ class AsynchronousProtocol(AreaProtocol):
         self._notes: tuple[str, ...] = ()
         self._has_solved = False  # since the state was last shown
         self._limits = EstimateLimits(content.limits, [bus.id for bus in content.area.network.buses], content.meters)
+        self._gateways = GatewayWatch(content.area)
         self._estimated_scan = 0
         self._sent: Estimate | None = None  # to neighbours, the last
 
@@ -137,6 +140,7 @@ class AsynchronousProtocol(AreaProtocol):
         basis = self._usable().keys(), self._peers.present(self._now)
         if self._scan.has_been_read and (self._has_update or basis != self._basis):
             self._has_update, self._basis, self._has_solved = False, basis, True
+            self._gateways.weigh(self.scan, self._scan.readings, None)
             yield from self._work()
 
     def _work(self) -> Iterator[Action]:
@@ -226,7 +230,7 @@ class AsynchronousProtocol(AreaProtocol):
         if not self._scan.has_been_read or self._scan.is_late(self._now, PASSED_ON_HEARTBEATS):
             return False
         overdue = self._scan.readings.ages.overdue_share(self._now) > self._content.limits.most_overdue
-        is_apart = bool(self._peers.skewed) or not self._splits.are_one()
+        is_apart = bool(self._peers.skewed or self._gateways.mistaken) or not self._splits.are_one()
         return not (overdue or is_apart or self._find_old(PASSED_ON_HEARTBEATS) - {name})
 
     def _find_old(self, heartbeats: float = FRESH_HEARTBEATS) -> set[str]:
@@ -263,6 +267,7 @@ class AsynchronousProtocol(AreaProtocol):
         yield from find_contradictions(self._rejections.contradictions)
         yield from find_unreadable_payloads(self._rejections.unreadable_in(self.scan))
         yield from find_skewed_clocks(self._peers.skewed)
+        yield from find_mistaken_gateways(self._gateways.mistaken)
         yield from find_leader_clock(self._content.readings.leader, self._scan.leader_ahead_s)
         yield from find_early_scan(self._scan.lead_s)
         if self._scan.has_been_read:

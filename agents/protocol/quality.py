@@ -234,6 +234,18 @@ def find_left_out_readings(readings: Readings) -> Iterator[Finding]:
         yield Finding(quality, f"{reason}: the newest reading of {_first_of(meters)}", reason, meters)
 
 
+def find_mistaken_gateways(mistaken: Mapping[str, str]) -> Iterator[Finding]:
+    """Gateways whose power readings are wrong as a whole -> what is wrong with them."""
+    for gateway, words in sorted(mistaken.items()):
+        yield Finding(
+            DEGRADED,
+            f"all power readings of gateway {gateway} look wrong, {words}: with them grid and loads do not fit, with "
+            "that corrected they do; look at its map",
+            "a gateway looks wrong",
+            [gateway],
+        )
+
+
 def find_leader_clock(leader: str, ahead_s: float) -> Iterator[Finding]:
     """Clock of the gateway that numbers scans, ``ahead_s`` ahead of the own one: its readings are not of now."""
     if ahead_s:

@@ -35,6 +35,10 @@ class Reading:
     def time(self) -> float:
         return self.order[0]
 
+    @property
+    def gateway(self) -> str:
+        return self.order[1]
+
 
 class ReadingStore:
     """``newest``: meter id -> its newest reading. ``why_rejected``: meter id -> why its newer one is not there.

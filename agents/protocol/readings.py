@@ -85,7 +85,8 @@ class Readings:
 
     ``silent``: ids of the meters without a reading. ``invalid``: of those whose reading its source has marked as not
     valid. ``too_old``: of those whose reading is left out for its age. ``why_rejected``: id -> why its newest one is.
-    ``mistimed``: ids of those that have no other reading than one of a time that cannot be.
+    ``mistimed``: ids of those that have no other reading than one of a time that cannot be. ``senders``: gateway -> ids
+    of the meters whose readings are its.
     """
 
     def __init__(self, content: Configuration, store: ReadingStore) -> None:
@@ -100,6 +101,7 @@ class Readings:
         self.invalid: list[str] = []
         self.too_old: list[str] = []
         self.mistimed: frozenset[str] = frozenset()
+        self.senders: dict[str, list[str]] = {}
         self.why_rejected: dict[str, str] = {}
         self.ages = Ages()
         self._expected_scan_s = expected_scan_s(content)
@@ -117,7 +119,7 @@ class Readings:
 
         ``message``: of the scan, None where clocks number scans. ``now``: monotonic time, ``wall``: s since 1970.
         """
-        self.invalid, self.too_old = [], []
+        self.invalid, self.too_old, self.senders = [], [], {}
         self.why_rejected = {k: reason for k, reason in self._store.why_rejected.items() if k not in self._store.off}
         read: Read = {}
         self._mistimed_share = 0.0
@@ -150,6 +152,7 @@ class Readings:
                 yield reason
             elif meter is not None:
                 read[meter_id] = Measurement(meter, value, sigma), time
+        self.senders[gateway] = list(read)
         self._mistimed_share = n_mistimed / (n_mistimed + len(read)) if n_mistimed else 0.0
 
     def _find_mistiming(self, meter: Meter, age_s: float) -> str:
@@ -174,6 +177,7 @@ class Readings:
                 self.too_old.append(meter_id)
             else:
                 read[meter_id] = Measurement(meter, reading.value, sigma), reading.time
+                self.senders.setdefault(reading.gateway, []).append(meter_id)
 
     def _find_ages(self, times: Mapping[str, float], now: float, wall: float) -> Ages:
         overdue_s = {k: limit for k, limit in self._overdue_s.items() if k not in self._store.off}

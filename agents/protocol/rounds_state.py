@@ -14,6 +14,7 @@ from agents.peers.rejections import Rejections
 from agents.peers.splits import Splits
 from agents.protocol.area_round import AreaRound, Outcome
 from agents.protocol.configuration import Configuration
+from agents.protocol.gateway_watch import GatewayWatch
 from agents.protocol.published_state import PublishedState
 from agents.protocol.quality import (
     DEGRADED,
@@ -33,6 +34,7 @@ from agents.protocol.quality import (
     find_meters_off,
     find_missing_readings,
     find_missing_side,
+    find_mistaken_gateways,
     find_next_split,
     find_other_splits,
     find_overdue_readings,
@@ -85,6 +87,7 @@ class RoundsState:
         self._ages = Ages()  # of the readings that it rests on
         self._most_overdue = content.limits.most_overdue
         self._leader = content.readings.leader
+        self._gateways = GatewayWatch(content.area)
         self._findings: tuple[Finding, ...] = ()  # of the outcome
         self._kept_mismatches: dict[
             str, tuple[Outcome, tuple[float, ...], tuple[float, float]]
@@ -97,6 +100,10 @@ class RoundsState:
         if outcome is not None and is_new:
             self._outcome, self._of_scan, self._ages = outcome, term[0], self._scan.readings.ages
             self._estimate, self._findings = self._read(outcome)
+            if not self._scan.stale:
+                has_end = self._estimate is not None and not outcome.verdict.reason
+                known = self._round.estimation.before_removal if has_end else None  # what led nowhere is no evidence
+                self._gateways.weigh(term[0], self._scan.readings, known)
         elif not is_heartbeat and self._is_first_way_through(term):
             return None
         is_end = self._outcome is not None and self._outcome is self._round.outcome
@@ -244,6 +251,7 @@ class RoundsState:
         yield from find_far_scans(self._rejections.far_scans)
         yield from find_unreadable_payloads(self._rejections.unreadable_in(self._scan.scan))
         yield from find_skewed_clocks(self._peers.skewed)
+        yield from find_mistaken_gateways(self._gateways.mistaken)
         yield from find_leader_clock(self._leader, self._scan.leader_ahead_s)
         yield from find_early_scan(self._scan.lead_s)
         if self._scan.has_been_read:
@@ -316,6 +324,8 @@ class RoundsState:
         if not self._counts_all(outcome) or any(self._mismatches(term)):
             return False
         if self._scan.readings.ages.overdue_share(now) > self._most_overdue or self._peers.skewed:
+            return False
+        if self._gateways.mistaken:
             return False
         if not self._splits.are_one(self._uses):
             return False

@@ -14,7 +14,7 @@ from coordinator.gateway.gateway import read_source
 from coordinator.gateway.intake import Intake, Reading
 from coordinator.gateway.maps.map_file import GatewayMap
 from coordinator.gateway.maps.points import Point
-from coordinator.gateway.plausibility import Read, Schedule, find_schedule, find_suspects
+from coordinator.gateway.plausibility import Read, Schedule, find_common_mistake, find_schedule, find_suspects
 from coordinator.gateway.reconnection import Link
 from coordinator.report.grid_text import format_table
 from dsse_core.errors import PowerFlowDivergedError
@@ -76,7 +76,9 @@ def make_report(
     error: str,
 ) -> CheckReport:
     """``newest``: meter id -> reading; ``error``: why the source cannot be read, empty if it can."""
-    suspects, unexplained = _find_suspects(content, newest, schedule)
+    reads = _find_reads(newest, schedule)
+    suspects, unexplained = find_suspects(content.scenario.network, content.scenario.meters, reads)
+    common = find_common_mistake(content.scenario.network, content.scenario.meters, reads)
     remarks = {
         point.meter.id: suspects.get(point.meter.id, "") if point.meter.id in newest else NOTHING
         for point in content.points.values()
@@ -91,6 +93,8 @@ def make_report(
         wrong.append(
             f"the powers at {listed(unexplained, MOST_NAMED)} do not add up, and no single sign or unit explains it"
         )
+    if common:
+        wrong.append(f"all powers, {common}: with them grid and loads do not fit, with that corrected they do")
     count = sum(map(bool, remarks.values()))
     if count:
         wrong.append(f"{count} of {len(remarks)} meters: see the remarks")
@@ -105,13 +109,11 @@ def make_report(
     return CheckReport(text, not wrong)
 
 
-def _find_suspects(
-    content: GatewayMap, newest: Mapping[str, Reading], schedule: Mapping[str, Schedule] | None
-) -> tuple[dict[str, str], list[str]]:
+def _find_reads(newest: Mapping[str, Reading], schedule: Mapping[str, Schedule] | None) -> dict[str, Read]:
+    """Meter id -> what was read and can be compared; nothing without a schedule."""
     if schedule is None:
-        return {}, []
-    reads = {meter: Read(found.value, found.sigma, schedule[meter]) for meter, found in newest.items() if found.valid}
-    return find_suspects(content.scenario.network, content.scenario.meters, reads)
+        return {}
+    return {meter: Read(found.value, found.sigma, schedule[meter]) for meter, found in newest.items() if found.valid}
 
 
 def _find_unmapped(content: GatewayMap) -> Sequence[str]:

@@ -9,15 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dsse_core.errors import PowerFlowDivergedError
-from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.exchange.gateway_mistakes import MISTAKES, THRESHOLD, GatewayTest
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Network
+from dsse_core.grid.partition import Area
 from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 KIND = MeasurementKind
 POWERS = ((KIND.P_INJECTION, KIND.P_FLOW, "P"), (KIND.Q_INJECTION, KIND.Q_FLOW, "Q"))
-MISTAKES: Mapping[float, str] = {-1.0: "sign", 1e-3: "unit, 1000 times too large", 1e3: "unit, 1000 times too small"}
-"""By what a reading would have to be multiplied -> what looks wrong with it in the map."""
 SHARE = 0.05  # of the largest power of a balance, which it may miss by losses that differ from those of the schedule
 SIGMAS = 5.0
 LIKE_SCHEDULE = 5.0  # a load is at most so many times that of the schedule, and at least so small a part
@@ -133,6 +133,22 @@ def find_suspects(
             words = _compare(kinds[meter], read, SIGNIFICANT * largest[kinds[meter]], meter in confirmed)
             suspects |= {meter: words} if words else {}
     return suspects, unexplained
+
+
+def find_common_mistake(network: Network, meters: Sequence[Meter], reads: Mapping[str, Read]) -> str:
+    """What looks wrong with all powers that were read, in words; empty if nothing does. For the arguments see above.
+
+    It is the test of an area (``dsse_core/exchange/gateway_mistakes.py``), in an area that is the whole network.
+    """
+    if network.slack is None:
+        return ""
+    reference = network.slack.bus, network.slack.va
+    grid = Area("grid", network, (), network.slack.bus, network.slack.vm, reference)
+    readings = [Measurement(m, reads[m.id].value, reads[m.id].sigma) for m in meters if m.id in reads]
+    virtual = [Measurement(m, 0.0, 0.0) for m in meters if m.source is Source.VIRTUAL]
+    found = GatewayTest(grid).weigh([*readings, *virtual], reads.keys(), None, {})
+    factor = max(found, key=found.__getitem__, default=1.0)
+    return MISTAKES[factor] if found.get(factor, 0.0) > THRESHOLD else ""
 
 
 def _explain(

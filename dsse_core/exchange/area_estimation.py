@@ -71,6 +71,7 @@ class AreaEstimation:
         self._n_current = 0  # current meters that can be used
         self._received: Received = {}  # at ``linearized_at``
         self._boundary_values: dict[str, tuple[np.ndarray, tuple[float, ...]]] = {}  # of which x
+        self.before_removal: tuple[np.ndarray, Received] | None = None  # x with all meters, and what it rests on
         self._aged: dict[str, BoundaryInformation] = {}
         self._last_y: dict[str, np.ndarray] = {}  # where areas meet at several buses: y while the neighbour was there
         self._stand_ins: dict[str, BoundaryInformation] = {}
@@ -112,7 +113,7 @@ class AreaEstimation:
         self._readings, self._silent, self._is_stale = tuple(readings), frozenset(silent), stale
         if (meters := tuple(m.meter for m in self._readings)) != self._meters_read:
             self._meters_read, self.own_meters = meters, frozenset(meter.id for meter in meters)
-        self.reported = set()
+        self.reported, self.before_removal = set(), None
         self._start = self._start_of_term = self._flat if self.failure else self.x
         self._start_anew(())
         self._stand_ins = self._find_stand_ins(loads or {})
@@ -284,6 +285,8 @@ class AreaEstimation:
                 self.linearized_at, self._step = self.x, self.model.linear.step(self.x, self._received)
                 self.x = self.x + verdict.share * self._step
                 self._check()
+                if not memory.removed and verdict.with_step:
+                    self.before_removal = self.x, self._received
             match verdict.decision:
                 case Decision.SHORTEN:
                     self.x = self.linearized_at + verdict.share * self._step

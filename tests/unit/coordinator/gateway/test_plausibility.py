@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from coordinator.gateway.plausibility import MISTAKES, Read, find_schedule, find_suspects
+from coordinator.gateway.plausibility import MISTAKES, Read, find_common_mistake, find_schedule, find_suspects
 from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import solve_power_flow
@@ -59,6 +59,16 @@ def test_a_wrong_sign_or_unit_of_one_meter_is_named(scenario: Scenario, reads: d
         if not suspects.get(meter, "").startswith(MISTAKES[factor]):
             missed.append((meter, suspects))
     assert missed == []
+
+
+@pytest.mark.parametrize("factor", MISTAKES)
+def test_a_wrong_sign_or_unit_of_all_powers_is_named_where_all_balances_hold(
+    scenario: Scenario, reads: dict[str, Read], factor: float
+) -> None:
+    powers = {meter.id for meter in scenario.meters if meter.kind is not MeasurementKind.VM}
+    wrong = {m: replace(read, value=read.value / factor) if m in powers else read for m, read in reads.items()}
+    assert find_common_mistake(scenario.network, scenario.meters, wrong) == MISTAKES[factor]
+    assert find_common_mistake(scenario.network, scenario.meters, reads) == ""
 
 
 @pytest.mark.parametrize(("factor", "hint"), [(3**-0.5, "line to neutral"), (1e3, "V in place of kV"), (0.5, "base")])

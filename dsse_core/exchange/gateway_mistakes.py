@@ -1,0 +1,258 @@
+"""Test of all power readings of one gateway together: as stated, or multiplied by one factor, such as a wrong sign.
+
+Readings of one gateway that are wrong alike contradict each other nowhere, so that residuals cannot show it: a sound
+meter at the boundary goes in their place. Here the readings z as a whole stand against hypotheses. Under H_f the
+gateway's powers must be multiplied by f to be what flows; f = 1 is as stated. Against them stand all that the area
+knows beside: its voltmeters and other gateways, the information of its neighbours, and what its loads do (``Load``).
+With M_f the least weighted sum of squares of all that under H_f, over the state of the area,
+
+    log p(z | H_f) = n log|f| - M_f / 2 + constant,
+
+n being the readings that are multiplied: the density of z is that of f z, times the Jacobian of the change of
+variables. Beside 1 stands "something else": all standard deviations are wrong by one factor, the likeliest one. Then
+N residuals have log p = -N/2 (1 + log(M_1 / N)). So a mistake is only found where it fits.
+
+The information of neighbours may rest on a wrong gateway of theirs: two sides of opposite sign contradict each other,
+and a change of either one mends it. So the smaller one of the evidence with and without their information counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dsse_core.estimation.residuals import find_dead
+from dsse_core.gauss_newton import LAST_STEP, MOST_STEPS
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.network import Control
+from dsse_core.grid.partition import Area
+from dsse_core.linear.area_model import build_area_model
+from dsse_core.linear.boundary_information import BoundaryInformation
+
+KIND = MeasurementKind
+POWERS = (KIND.P_INJECTION, KIND.Q_INJECTION, KIND.P_FLOW, KIND.Q_FLOW)
+MISTAKES: Mapping[float, str] = {-1.0: "sign", 1e-3: "unit, 1000 times too large", 1e3: "unit, 1000 times too small"}
+"""By what readings would have to be multiplied -> what is wrong with them."""
+LOWEST_LOAD, HIGHEST_LOAD = 0.2, 1.5  # of its schedule, which a load takes
+FALSE_ALARMS = 1e-4  # scans, at most, in which readings that are as stated are taken for a mistake
+THRESHOLD = math.log(len(MISTAKES) / FALSE_ALARMS)  # of the sum of log-likelihood ratios, see ``add_up``
+
+Received = Mapping[str, BoundaryInformation]
+
+
+def add_up(so_far: float, of_scan: float) -> float:
+    """Evidence of several scans: Page's cumulative sum, which stays between 0 and twice ``THRESHOLD``.
+
+    With readings as stated it exceeds ``THRESHOLD`` once in exp(``THRESHOLD``) scans or more on average (Lorden 1971),
+    as long as the noise of two scans is independent.
+    """
+    return min(max(0.0, so_far + of_scan), 2 * THRESHOLD)
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """Mean and standard deviation of an injection as far as the schedule knows it, p.u."""
+
+    mean: float
+    sigma: float
+
+
+def expect_loads(area: Area) -> dict[tuple[MeasurementKind, int], Load]:
+    """(kind, bus) -> what is injected there, of the buses that the area owns and that have a schedule.
+
+    A load takes Q between ``LOWEST_LOAD`` and ``HIGHEST_LOAD`` of its schedule, of which mean and standard deviation of
+    an even distribution are taken; the apparent power is its size, as the power factor is no constant. Its P lies
+    between minus and plus ``HIGHEST_LOAD``: photovoltaics that no schedule has turn it. So do P and Q of a generator.
+    What holds the voltage feeds whatever is wanted.
+    """
+    network = area.network
+    spread, spread_of_either_sign = (HIGHEST_LOAD - LOWEST_LOAD) / math.sqrt(12), HIGHEST_LOAD / math.sqrt(3)
+    produced: dict[int, float] = {}
+    for generator in network.generators:
+        size = abs(complex(generator.p, generator.q)) if generator.control is Control.POWER else math.inf
+        produced[generator.bus] = produced.get(generator.bus, 0.0) + size
+    expected = {}
+    for bus in network.buses:
+        size = abs(complex(bus.p_load, bus.q_load)) + produced.get(bus.id, 0.0)
+        if bus.id in area.not_owned or not 0 < size < math.inf:
+            continue
+        either = Load(0.0, spread_of_either_sign * size)
+        of_load = Load(-(LOWEST_LOAD + HIGHEST_LOAD) / 2 * bus.q_load, spread * size)
+        expected[KIND.P_INJECTION, bus.id] = either
+        expected[KIND.Q_INJECTION, bus.id] = either if bus.id in produced else of_load
+    return expected
+
+
+@dataclass(frozen=True)
+class _Hypothesis:
+    """Readings under a hypothesis, each joined with what is known of its load; p.u. and rad, (n_meas,).
+
+    ``beside``: the part of M that does not depend on the state.
+    """
+
+    z: np.ndarray
+    sigma: np.ndarray
+    beside: float
+
+
+class GatewayTest:
+    """The test in ``area``."""
+
+    def __init__(self, area: Area) -> None:
+        self._area = area
+        self._reference = area.reference[0] if area.reference else None
+        self._loads = expect_loads(area)
+        self._rows: _Rows | None = None
+
+    def weigh(
+        self, readings: Sequence[Measurement], of_gateway: Collection[str], x: np.ndarray | None, received: Received
+    ) -> dict[float, float]:
+        """Factor -> log of the likelihood ratio of its mistake to the likelier of as stated and something else.
+
+        Minus infinity where a bound already shows that it is below 0; empty without power readings.
+
+        Args:
+            readings: of the area, virtual ones included. of_gateway: ids of the gateway's meters.
+            x: state of the area, see ``AreaModel``, where ``received`` is known; None: neither is.
+        """
+        rows = self._rows_of(readings)
+        z, sigma = rows.put(readings)
+        multiplied = (
+            rows.is_power & (z != 0.0) & np.array([meter.id in of_gateway for meter in rows.meters], dtype=bool)
+        )
+        if not multiplied.any():
+            return {}
+        start = self._flat_start() if x is None else x
+        stated = rows.join(z, sigma)
+        least = rows.solve(stated, start, received) if x is None else math.inf
+        bound = min(least, rows.find_misfit(stated, start, received))
+        by_factor, at_most = {}, {}
+        for factor in MISTAKES:
+            by_factor[factor] = rows.join(*_multiply(z, sigma, multiplied, factor))
+            jacobian = rows.count(multiplied, factor) * math.log(abs(factor))
+            at_most[factor] = jacobian - by_factor[factor].beside / 2 + bound / 2
+        found = dict.fromkeys(MISTAKES, -math.inf)
+        if max(at_most.values()) <= 0:
+            return found
+        if x is not None:
+            least = rows.solve(stated, start, received)
+        if math.isinf(least) and received:
+            return self.weigh(readings, of_gateway, None, {})
+        least = min(least, bound)
+        n = rows.n_residuals + sum(len(message.rows[1]) for message in received.values())
+        reference = max(-least / 2, -n / 2 * (1 + math.log(max(least / n, 1.0))))
+        for factor, hypothesis in by_factor.items():
+            if at_most[factor] > 0:
+                jacobian = rows.count(multiplied, factor) * math.log(abs(factor))
+                found[factor] = jacobian - rows.solve(hypothesis, start, received) / 2 - reference
+        if received and max(found.values()) > 0:
+            alone = self.weigh(readings, of_gateway, None, {})
+            return {factor: min(ratio, alone[factor]) for factor, ratio in found.items()}
+        return found
+
+    def _rows_of(self, readings: Sequence[Measurement]) -> _Rows:
+        """Kept as long as the same meters are read."""
+        used = [m.meter for m in readings if m.meter.kind is not KIND.CURRENT]
+        dead = {used[k] for k in find_dead(used, [m.value for m in readings if m.meter.kind is not KIND.CURRENT])}
+        read = tuple(meter for meter in used if meter not in dead)
+        if self._rows is None or self._rows.read != read:
+            self._rows = _Rows(self._area, self._reference, read, self._loads)
+        return self._rows
+
+    def _flat_start(self) -> np.ndarray:
+        vm, va = self._area.find_no_load()
+        return np.concatenate([va, vm, np.zeros(len(self._area.powers_into_children))])
+
+
+class _Rows:
+    """The meters ``read``, then injections that only their schedules tell, as rows of a model of ``area``."""
+
+    def __init__(
+        self, area: Area, reference: int | None, read: tuple[Meter, ...], loads: Mapping[tuple[KIND, int], Load]
+    ) -> None:
+        places = [(meter.kind, meter.bus) if meter.kind.of_injection else None for meter in read]
+        unread = [place for place in loads if place not in set(places)]
+        self.read = read
+        self.meters = (*read, *(Meter(*place, source=Source.PSEUDO) for place in unread))
+        self.is_virtual = np.array([meter.source is Source.VIRTUAL for meter in self.meters], dtype=bool)
+        self.is_power = np.array([meter.kind in POWERS for meter in self.meters], dtype=bool) & ~self.is_virtual
+        self._is_injection = np.array([meter.kind.of_injection for meter in self.meters], dtype=bool)
+        known = [
+            loads.get(place) if place and meter.source is not Source.VIRTUAL else None
+            for place, meter in zip(places, read, strict=True)
+        ]
+        self._joined = np.array([k for k, load in enumerate(known) if load], dtype=int)
+        self._mean = np.array([load.mean for load in known if load])
+        self._sigma = np.array([load.sigma for load in known if load])
+        self._unread = [loads[place] for place in unread]
+        self._n_bus = len(area.network.buses)
+        self.n_residuals = int((~self.is_virtual).sum()) + len(self._joined)
+        z, sigma = np.zeros(len(self.meters)), np.ones(len(self.meters))
+        self._model = build_area_model(area, self._list(_Hypothesis(z, sigma, 0.0)), reference)
+
+    def put(self, readings: Sequence[Measurement]) -> tuple[np.ndarray, np.ndarray]:
+        """Values and standard deviations of all rows, (n_meas,); of virtual ones 0 and 1."""
+        by_meter = {m.meter: m for m in readings}
+        used = [by_meter[meter] for meter in self.read]
+        z = np.array([*(m.value for m in used), *(load.mean for load in self._unread)])
+        sigma = np.array([*(m.sigma for m in used), *(load.sigma for load in self._unread)])
+        return z, np.where(self.is_virtual, 1.0, sigma)
+
+    def join(self, z: np.ndarray, sigma: np.ndarray) -> _Hypothesis:
+        """A reading of an injection and what is known of its load are one of their joint weight."""
+        k, z, sigma = self._joined, z.copy(), sigma.copy()
+        of_reading, of_load = sigma[k] ** -2, self._sigma**-2
+        beside = float(((z[k] - self._mean) ** 2 / (sigma[k] ** 2 + self._sigma**2)).sum())
+        z[k] = (of_reading * z[k] + of_load * self._mean) / (of_reading + of_load)
+        sigma[k] = (of_reading + of_load) ** -0.5
+        return _Hypothesis(z, sigma, beside)
+
+    def count(self, multiplied: np.ndarray, factor: float) -> int:
+        """Of how many readings the Jacobian counts.
+
+        Where standard deviations may grow with the readings, redundant ones tell nothing of the factor. Without
+        redundancy are at least the injections, or the flows of one kind through different branches.
+        """
+        if abs(factor) <= 1:
+            return int(multiplied.sum())
+        at_branches = {
+            (m.kind, m.branch) for m, is_one in zip(self.meters, multiplied, strict=True) if is_one and m.branch
+        }
+        return max(int((multiplied & self._is_injection).sum()), len(at_branches))
+
+    def find_misfit(self, hypothesis: _Hypothesis, x: np.ndarray, received: Received) -> float:
+        """M at ``x``; virtual measurements hold exactly, and do not count."""
+        model = self._model
+        residual = model.model.subtract(hypothesis.z, model.predict(x))
+        weighted = np.where(self.is_virtual, 0.0, residual / hypothesis.sigma)
+        _, of_messages = model.rows.messages(x, received)
+        return hypothesis.beside + float(weighted @ weighted) + sum(float(r @ r) for r in of_messages)
+
+    def solve(self, hypothesis: _Hypothesis, x: np.ndarray, received: Received) -> float:
+        """M: the least sum of squares; infinity where no state is found."""
+        assert self._model.linear  # of which the next one keeps what rests on the meters
+        model = self._model.with_readings(self._list(hypothesis))
+        try:
+            for _ in range(MOST_STEPS):
+                step = model.linear.step(x, received)
+                x = x + step
+                if abs(step[: 2 * self._n_bus]).max() < LAST_STEP:
+                    return self.find_misfit(hypothesis, x, received)
+        except (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError):
+            pass
+        finally:
+            model.end()
+        return math.inf
+
+    def _list(self, hypothesis: _Hypothesis) -> list[Measurement]:
+        numbers = zip(self.meters, hypothesis.z.tolist(), hypothesis.sigma.tolist(), strict=True)
+        return [Measurement(meter, value, sigma) for meter, value, sigma in numbers]
+
+
+def _multiply(z: np.ndarray, sigma: np.ndarray, multiplied: np.ndarray, factor: float) -> tuple[np.ndarray, np.ndarray]:
+    """Readings and standard deviations; one that is stated as a share of what is read grows with that."""
+    grows = multiplied & (sigma < abs(z)) & (abs(factor) > 1)
+    return np.where(multiplied, factor * z, z), np.where(grows, abs(factor) * sigma, sigma)
