@@ -127,7 +127,8 @@ def format_area_check(file: AreaFile) -> str:
 
 def _describe_area(area: Area, meters: int) -> str:
     met = ", ".join(map(str, area.not_owned))
-    towards = f"beyond {area.parent.area} at bus {met}" if area.parent else "with the substation"
+    where = "buses" if len(area.not_owned) > 1 else "bus"
+    towards = f"beyond {area.parent.area} at {where} {met}" if area.parent else "with the substation"
     slack = "voltage received from there" if area.slack_vm is None else f"{area.slack_vm:g} p.u."
     return (
         f"{area.name}: {len(area.network.buses)} buses, {towards}, {meters} meters, "

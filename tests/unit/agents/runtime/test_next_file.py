@@ -16,20 +16,31 @@ from agents.protocol.events import Offered
 from agents.runtime.inbox import Inbox
 from agents.runtime.next_file import LOOK_S, NextFile
 from coordinator.deployment.split import area_files
+from dsse_core.grid.boundary import boundary_at
 from scenarios.scenario import load_scenario
 
 DEADLINE_S = 180.0
 CONTENT, OTHER = area_files(load_scenario("industrial13"), "run", ["tcp/127.0.0.1:7447"], time=0.0)
+HERE, THERE = "tcp/127.0.0.1:7450", "tcp/127.0.0.1:7451"
+
+
+def with_ring(content: AreaFile) -> AreaFile:
+    """``content`` where the area meets its neighbour at two buses, under a strategy that cannot take that."""
+    (neighbour,) = content.area.neighbours
+    second = next(bus.id for bus in content.area.network.buses if bus.id not in (neighbour.bus, content.area.slack_bus))
+    child = content.area.name if neighbour.is_parent else neighbour.area
+    met = replace(neighbour, variables=boundary_at((neighbour.bus, second), child).names)
+    return replace(content, strategy="admm", area=replace(content.area, neighbours=(met,)))
 
 
 class Folder:
     """With the file of an area, and the looks of its agent."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, content: AreaFile = CONTENT) -> None:
         self.path, self.next = folder / "area1.toml", folder / "area1.next.toml"
-        save_area_file(self.path, CONTENT)
+        save_area_file(self.path, content)
         self.inbox = Inbox()
-        self.file = NextFile(self.path, CONTENT, self.inbox, load_area_file)
+        self.file = NextFile(self.path, content, self.inbox, load_area_file)
         self.now = 0.0
 
     def look(self) -> None:
@@ -87,6 +98,8 @@ def test_one_that_is_replaced_is_read_again(folder: Folder):
         (lambda path: path.write_text("area = 'area1'"), "meter: missing"),
         (lambda path: save_area_file(path, OTHER), "area: is area2; the file in use is of area1"),
         (lambda path: save_area_file(path, replace(CONTENT, run="night")), "run: is night; the file in use is of run"),
+        (lambda path: save_area_file(path, with_ring(CONTENT)), "a ring, which strategy 'admm' cannot take"),
+        (lambda path: save_area_file(path, replace(CONTENT, listen=(HERE,))), f"listen: is {HERE}; the agent listens"),
     ],
 )
 def test_one_that_cannot_be_used_is_none_and_the_log_names_it(
@@ -99,21 +112,64 @@ def test_one_that_cannot_be_used_is_none_and_the_log_names_it(
     assert "area1.next.toml" in caplog.text
 
 
+def test_links_with_neighbours_that_only_a_start_opens_are_needed_as_they_are(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    """A new parent of an area without a router would never be reached."""
+    own = replace(CONTENT, listen=(HERE,), endpoints=(THERE,))
+    folder = Folder(tmp_path, own)
+    save_area_file(folder.next, replace(own, endpoints=(HERE,)))
+    assert folder.file.read_at_once() is None
+    assert f"endpoints: the agent has no link with {HERE}" in caplog.text
+    save_area_file(folder.next, replace(own, endpoints=(), tolerance=1e-7))
+    assert folder.file.read_at_once() is not None
+
+
+def test_endpoints_of_routers_may_change(folder: Folder):
+    save_area_file(folder.next, replace(CONTENT, endpoints=(THERE,)))
+    assert folder.file.read_at_once() is not None
+
+
 def test_it_takes_the_place_of_the_one_in_use(folder: Folder):
     save_area_file(folder.next, replace(CONTENT, tolerance=1e-7))
-    folder.file.take_place()
+    found = folder.file.read_at_once()
+    assert found is not None
+    folder.file.take_place(found)
     assert load_area_file(folder.path).tolerance == 1e-7
     assert not folder.next.exists()
+
+
+@pytest.mark.parametrize("is_read", [False, True])
+def test_the_file_of_a_later_split_that_has_come_meanwhile_stays_and_is_read(folder: Folder, *, is_read: bool):
+    """The area went over to the one that was read before."""
+    save_area_file(folder.next, replace(CONTENT, tolerance=1e-7))
+    found = folder.file.read_at_once()
+    assert found is not None
+    folder.offered()
+    save_area_file(folder.next, replace(CONTENT, tolerance=1.5e-8))
+    if is_read:
+        folder.look()
+        folder.look()
+        folder.offered()
+    folder.file.take_place(found)
+    assert load_area_file(folder.path).tolerance == CONTENT.tolerance
+    folder.look()
+    folder.look()
+    later = folder.offered()
+    assert later is not None
+    assert later.tolerance == 1.5e-8
 
 
 def test_where_it_cannot_be_moved_the_log_says_so(
     folder: Folder, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
     shutil.copy(folder.path, folder.next)
+    found = folder.file.read_at_once()
+    assert found is not None
 
     def refuse(*_: object) -> None:
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(os, "replace", refuse)
-    folder.file.take_place()
+    folder.file.take_place(found)
     assert "move it to area1.toml by hand" in caplog.text
