@@ -72,7 +72,7 @@ class PowerFlowPlan:
         at_end = abs(table.ys + table.ends)
         total = np.bincount(table.f, at_end / table.tap[table.active] ** 2, n) + np.bincount(table.t, at_end, n)
         between = abs(table.ys / table.ratio)
-        total += np.bincount(table.f, between, n) + np.bincount(table.t, between, n) + abs(table.shunt)
+        total = total + np.bincount(table.f, between, n) + np.bincount(table.t, between, n) + abs(table.shunt)
         limit: np.ndarray = np.maximum(tolerance, ROUND_OFF * total)
         return limit
 
