@@ -13,7 +13,7 @@ import numpy as np
 from coordinator.evaluation.evaluation import choose_scenario
 from coordinator.studies.strategy_comparison import choose_strategies
 from coordinator.studies.study_row import ORIGIN, StudyRow
-from coordinator.studies.sweep import compare_by, run_on_simulator, run_tasks
+from coordinator.studies.sweep import compare_side_by_side, run_on_simulator, run_tasks
 from coordinator.studies.sweep_plan import hash_scenario, make_plan
 from dsse_core.results.table import Table
 from scenarios.scenario import Scenario
@@ -36,7 +36,8 @@ def compare(
         strategies: their names; all that are installed if not given.
         seed: replaces the scenario's.
         changes: see ``load_scenario``; for a scenario that is not loaded yet.
-        executor: runs the strategies side by side, on this machine or others; without it one after the other.
+        executor: runs the strategies side by side, on this machine or others; without it one after the other in this
+            process.
 
     Returns:
         One row per strategy: ``outcome``, ``gap_vm_pu`` and ``gap_va_deg`` to the centralised estimate, ``messages``,
@@ -56,7 +57,7 @@ def compare(
     chosen = choose_scenario(scenario, seed, changes=changes or {})
     names = choose_strategies(None if strategies is None else ",".join(strategies))
     if executor is not None:
-        return _make_table(compare_by(executor, chosen, names), {})
+        return _make_table(compare_side_by_side(chosen, names, executor), {})
     content = hash_scenario(chosen)
     rows = [run_on_simulator(replace(chosen, strategy=name)) for name in names]
     return _make_table([replace(row, scenario_sha256=content) for row in rows], {})

@@ -154,14 +154,14 @@ def compare(
     chosen = choose_strategies(strategies)
     loaded = choose_scenario(scenario, seed, timeout_s=timeout, links=links, changes=changes)
     outcomes: dict[str, RunOutcome] = {}
-    if executor is not None:
-        if processes or out is not None:
-            raise click.UsageError("--executor gives the table only; leave out --processes and --out")
+    if executor is not None and (processes or out is not None):
+        raise click.UsageError("--executor gives the table only; leave out --processes and --out")
+    if not processes and out is None:
         from coordinator.studies.executors import open_executor
-        from coordinator.studies.sweep import compare_by
+        from coordinator.studies.sweep import compare_side_by_side
 
-        with open_executor(executor) as workers:
-            rows = compare_by(workers, loaded, chosen)
+        with contextlib.nullcontext() if executor is None else open_executor(executor) as workers:
+            rows = compare_side_by_side(loaded, chosen, workers)
     else:
         run = functools.partial(_run_and_keep, outcomes, _run_processes if processes else _run_on_simulator)
         rows = compare_strategies(loaded, chosen, run, out)

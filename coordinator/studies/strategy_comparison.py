@@ -14,7 +14,14 @@ from coordinator.process_run.stop_run import has_processes
 from coordinator.report.grid_text import format_table
 from coordinator.run_folder import make_run_folder
 from coordinator.strategy_check import check_with_strategy
-from coordinator.studies.study_row import COLUMNS, NOT_POSSIBLE, StudyRow, make_impossible_row, make_row, to_cells
+from coordinator.studies.study_row import (
+    COLUMNS,
+    StudyRow,
+    check_one_is_possible,
+    make_impossible_row,
+    make_row,
+    to_cells,
+)
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.drafts import draft_folder, remove_leftovers, whole_file
 from dsse_core.files.wording import describe_unknown
@@ -65,10 +72,7 @@ def compare_strategies(
     with draft_folder(temporary, UNKEPT) as unkept:
         folder = unkept if out is None else make_run_folder(out, scenario.name)
         rows = tuple(_run_one(replace(scenario, strategy=name), run, folder / name) for name in strategies)
-        if all(row.outcome == NOT_POSSIBLE for row in rows):
-            raise InvalidInputError(
-                f"scenario {scenario.name!r}", [f"strategy {row.strategy}: {row.reason}" for row in rows]
-            )
+        check_one_is_possible(scenario, rows)
         if out is not None:
             _write(folder, scenario, rows)
     return rows

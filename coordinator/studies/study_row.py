@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import platform
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 
 from coordinator.evaluation.answers import version_of
 from coordinator.evaluation.convergence import find_time_below, gap_history
 from coordinator.evaluation.result import RunOutcome
+from dsse_core.errors import InvalidInputError
 from dsse_core.printable import shortened
 from scenarios.scenario import Scenario
 
@@ -99,6 +101,17 @@ def make_impossible_row(scenario: Scenario, error: Exception) -> StudyRow:
         host=platform.node(),
         versions=describe_versions(),
     )
+
+
+def check_one_is_possible(scenario: Scenario, rows: Sequence[StudyRow]) -> None:
+    """Check that of ``rows``, one of each strategy, one at least was run.
+
+    Raises:
+        InvalidInputError: none was, with the reasons.
+    """
+    if all(row.outcome == NOT_POSSIBLE for row in rows):
+        problems = [f"strategy {row.strategy}: {row.reason}" for row in rows]
+        raise InvalidInputError(f"scenario {scenario.name!r}", problems)
 
 
 def to_cells(row: StudyRow) -> list[str]:

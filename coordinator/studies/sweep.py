@@ -16,7 +16,13 @@ from coordinator.interrupts import ENDS
 from coordinator.simulator.simulate import Simulation
 from coordinator.strategy_check import check_with_strategy
 from coordinator.studies.executors import RUNS_OF_UNIT, WorkerError, run_units
-from coordinator.studies.study_row import StudyRow, describe_versions, make_impossible_row, make_row
+from coordinator.studies.study_row import (
+    StudyRow,
+    check_one_is_possible,
+    describe_versions,
+    make_impossible_row,
+    make_row,
+)
 from coordinator.studies.sweep_plan import SweepPlan, Task, hash_scenario
 from dsse_core import operating_system
 from dsse_core.errors import DsseError
@@ -26,9 +32,9 @@ _plan: SweepPlan  # of a worker process
 
 
 def run_tasks(
-    plan: SweepPlan, tasks: Sequence[Task], jobs: int, executor: Executor | None = None
+    plan: SweepPlan, tasks: Sequence[Task], jobs: int, executor: Executor | None = None, size: int = RUNS_OF_UNIT
 ) -> Iterator[tuple[Task, StudyRow]]:
-    """Run ``tasks`` in ``jobs`` processes, or by ``executor`` in units; each with its row, as they end.
+    """Run ``tasks`` in ``jobs`` processes, or by ``executor``, ``size`` in a unit; each with its row, as they end.
 
     Raises:
         WorkerError: a worker was killed, or has other versions than this process.
@@ -38,14 +44,14 @@ def run_tasks(
         found = _run_here(plan, tasks, jobs)
     else:
         ordered = sorted(tasks, key=lambda task: task.value)  # a unit carries few networks
-        found = run_scenarios(executor, [(task, plan.scenario_of(task)) for task in ordered])
+        found = run_scenarios(executor, [(task, plan.scenario_of(task)) for task in ordered], size)
     with contextlib.closing(found):
         for task, row in found:
             yield task, replace(row, scenario_sha256=content)
 
 
 def run_scenarios(
-    executor: Executor, runs: Sequence[tuple[Task, Scenario]], size: int = RUNS_OF_UNIT
+    executor: Executor, runs: Sequence[tuple[Task, Scenario]], size: int
 ) -> Generator[tuple[Task, StudyRow], None, None]:
     """Run scenarios by ``executor``, ``size`` in a unit; each with its row, unit by unit as they end.
 
@@ -62,15 +68,21 @@ def run_scenarios(
             yield task, row
 
 
-def compare_by(executor: Executor, scenario: Scenario, strategies: Sequence[str]) -> tuple[StudyRow, ...]:
-    """One row per strategy, run side by side by ``executor``.
+def compare_side_by_side(
+    scenario: Scenario, strategies: Sequence[str], executor: Executor | None = None
+) -> tuple[StudyRow, ...]:
+    """One row per strategy, run side by side in processes of this machine, or by ``executor``.
 
     Raises:
+        InvalidInputError: no strategy can be run, with the reasons.
         WorkerError: as of ``run_tasks``.
     """
-    runs = [(Task("", name, scenario.seed), replace(scenario, strategy=name)) for name in strategies]
-    rows, content = dict(run_scenarios(executor, runs, 1)), hash_scenario(scenario)
-    return tuple(replace(rows[task], scenario_sha256=content) for task, _ in runs)
+    plan = SweepPlan("", scenario, {"": scenario}, tuple(strategies), 1, {})
+    jobs = operating_system.count_processors()
+    row_of = {task.strategy: row for task, row in run_tasks(plan, plan.tasks, jobs, executor, size=1)}
+    rows = tuple(row_of[name] for name in strategies)
+    check_one_is_possible(scenario, rows)
+    return rows
 
 
 def run_unit(runs: Sequence[tuple[Task, Scenario]]) -> list[tuple[Task, StudyRow]]:

@@ -161,3 +161,13 @@ def test_a_row_of_other_versions_in_the_table_is_refused_with_its_line(
 def test_an_executor_of_another_form_is_refused(address: str):
     with pytest.raises(InvalidInputError, match="give dask://HOST:PORT"), open_executor(address):
         pass
+
+
+def test_a_comparison_side_by_side_has_the_rows_of_one_after_the_other():
+    scenario = choose_scenario("industrial13", None)
+    names = ("admm", "angle-offset", "information")
+    content = hash_scenario(scenario)
+    alone = [sweep_module.run_on_simulator(replace(scenario, strategy=name)) for name in names]
+    assert sweep_module.compare_side_by_side(scenario, names) == tuple(
+        replace(row, scenario_sha256=content) for row in alone
+    )
