@@ -132,9 +132,8 @@ def run_area(
         ReplacedError: another agent of the area runs that began later, or has a newer file.
     """
     check_endpoints("--connect", endpoints)
-    content = load_area_file(path, list_strategies())
-    if endpoints:
-        content = replace(content, endpoints=tuple(endpoints))
+    of_file = load_area_file(path, list_strategies())
+    content = replace(of_file, endpoints=tuple(endpoints)) if endpoints else of_file
     name = content.area.name
     orders = OrderBook.of(content, OrderFile.of(path, content.run, name))
     inbox = Inbox()
@@ -151,7 +150,7 @@ def run_area(
     with _open_session(content, timeout_s, keys) as session:
         signal.signal(signal.SIGTERM, stop)
         signal.signal(signal.SIGINT, stop)
-        next_file = NextFile(path, content, inbox, lambda found: load_area_file(found, list_strategies()))
+        next_file = NextFile(path, of_file, inbox, lambda found: load_area_file(found, list_strategies()))
         following = next_file.read_at_once()
         if not may_be_older:
             take_place(content, session, following)

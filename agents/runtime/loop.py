@@ -118,7 +118,7 @@ def run_agent(
         if isinstance(end, str):
             return end
         if next_file is not None:
-            next_file.take_place()
+            next_file.take_place(end)
         log.info("area %s goes over to %s", end.area.name, end.identity)
         content, orders, is_first = end, orders.go_over(end), False
         incarnation = begin_incarnation(incarnation)

@@ -9,12 +9,13 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
 from agents.protocol.configuration import Configuration
 from agents.protocol.events import Offered
 from agents.runtime.inbox import Inbox
+from agents.strategies.installed import load_strategy
 from dsse_core.errors import InvalidInputError
 from dsse_core.printable import printable
 
@@ -33,6 +34,7 @@ class NextFile:
         self._next_look = 0.0
         self._seen: Look = None  # at the last look
         self._read: Look = None  # what was read last
+        self._found: tuple[Look, Configuration | None] = (None, None)  # that, and what it holds
 
     def read_at_once(self) -> Configuration | None:
         """What lies there when the process begins."""
@@ -58,8 +60,17 @@ class NextFile:
         else:
             threading.Thread(target=self._offer, name="next file", daemon=True).start()
 
-    def take_place(self) -> None:
-        """Put the file in the place of the one in use, as the area rests on it now."""
+    def take_place(self, configuration: Configuration) -> None:
+        """Put the file in the place of the one in use; the area rests on ``configuration`` now, which was read there.
+
+        Another file that has come there since stays, and is read as that of the split after.
+        """
+        look, found = self._found
+        if found is not configuration or look != self._look():
+            self._seen = self._read = None
+            what = f"{printable(str(self.path))} is not the file any more on which the area rests now"
+            log.warning("%s: %s stays the former one, until the area goes over again", what, self._own_path.name)
+            return
         try:
             os.replace(self.path, self._own_path)
         except OSError as error:
@@ -76,17 +87,19 @@ class NextFile:
     def _offer(self) -> Configuration | None:
         """Read the file, and have the protocol learn of it."""
         found: Configuration | None = None
+        look = self._read
         try:
             found = self._load(self.path)
             self._check(found)
         except InvalidInputError as error:
             found = None
             log.warning("the file of the next split cannot be used: %s", error)
+        self._found = look, found
         self._inbox.put("next file", Offered(found))
         return found
 
     def _check(self, found: Configuration) -> None:
-        """Raise InvalidInputError if the file is of another area or run."""
+        """Raise InvalidInputError if the file is of another area or run, or no running agent can go over to it."""
         own = self._content
         pairs = (("area", found.area.name, own.area.name), ("run", found.run, own.run))
         problems = [
@@ -94,5 +107,22 @@ class NextFile:
             for key, given, known in pairs
             if given != known
         ]
+        problems += load_strategy(found.strategy).find_ring_problems(found.strategy, [found.area])
+        problems += _find_link_problems(own, found)
         if problems:
             raise InvalidInputError(f"area file {printable(str(self.path))}", problems)
+
+
+def _find_link_problems(own: Configuration, following: Configuration) -> Iterator[str]:
+    """Which direct links with neighbours ``following`` needs that ``own`` has not opened; a router serves any."""
+    cure = "direct links open only when an agent starts: replace the files area by area, with restarts"
+    if not (own.listen or following.listen):
+        return
+    if set(following.listen) != set(own.listen):
+        yield f"listen: is {_listed(following.listen)}; the agent listens at {_listed(own.listen)}, and {cure}"
+    if missing := sorted({*following.endpoints} - {*own.endpoints}):
+        yield f"endpoints: the agent has no link with {_listed(missing)}, and {cure}"
+
+
+def _listed(endpoints: Collection[str]) -> str:
+    return printable(", ".join(endpoints)) or "no endpoint"

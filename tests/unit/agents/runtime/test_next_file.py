@@ -141,7 +141,7 @@ def test_it_takes_the_place_of_the_one_in_use(folder: Folder):
 
 @pytest.mark.parametrize("is_read", [False, True])
 def test_the_file_of_a_later_split_that_has_come_meanwhile_stays_and_is_read(folder: Folder, *, is_read: bool):
-    """The area went over to the one that was read before."""
+    """The area goes over to the one that was read before."""
     save_area_file(folder.next, replace(CONTENT, tolerance=1e-7))
     found = folder.file.read_at_once()
     assert found is not None
