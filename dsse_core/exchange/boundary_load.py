@@ -90,9 +90,10 @@ def stand_in_as_it_was(boundary: Boundary, y: np.ndarray, all_load: float) -> Bo
     """What is stated of a ``boundary`` at several buses where the neighbour is silent: near y, as it was, shape (d,).
 
     A net load has no side in a ring, and what the neighbour has sent last rests on switches that it may have operated.
-    ``all_load``: sum of the sizes of loads on both sides, p.u., within which each power stays.
+    ``all_load``: sum of the sizes of net loads on both sides, p.u. Within it and the largest power, which a switch may
+    end, each power stays: generation may make up for a load, and a current may go around the ring without any.
     """
-    power = 1 / (all_load + LEAST_LOAD)
+    power = 1 / (all_load + abs(y[: boundary.n_powers]).max() + LEAST_LOAD)
     R = np.diag(boundary.per_kind(power, power, 1 / AS_IT_WAS, 1 / AS_IT_WAS))
     return BoundaryInformation(R, R @ y)
 

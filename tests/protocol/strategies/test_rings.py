@@ -139,6 +139,21 @@ def test_an_area_alone_in_its_ring_says_so_and_stays_near_what_it_was():
     assert find_gap(bus, report) < GAP
 
 
+def test_an_area_that_has_never_heard_of_its_parent_in_a_ring_does_not_take_powers_of_the_unloaded_grid_for_known():
+    """Shifts drive 40 p.u. around the ring without any load, and the area itself has none."""
+    feeder = make_ring_feeder(2014, 3, 2, decades=2.0, dense=0.9)
+    assert feeder is not None
+    bus = SimulatedBus(feeder.area_files(0.0, 0), feeder.telemetry())
+    bus.kill("a1")
+    bus.run(12.0)
+    central = process_bad_data(feeder.network, feeder.measurements).result
+    state = bus.states["a2"]
+    rows = [central.network.row[bus_id] for bus_id in state.buses]
+    assert state.quality == "relative-angle"
+    assert state.removed == ()
+    assert max(abs(np.array(state.vm) - central.vm[rows]) / state.sigma_vm) < 3
+
+
 @pytest.mark.parametrize("strategy", ["admm", "angle-offset"])
 def test_a_strategy_that_knows_one_bus_a_boundary_refuses_a_ring(strategy):
     scenario = replace(ring33(), strategy=strategy)
