@@ -9,8 +9,9 @@ With M_f the least weighted sum of squares of all that under H_f, over the state
     log p(z | H_f) = n log|f| - M_f / 2 + constant,
 
 n being the readings that are multiplied: the density of z is that of f z, times the Jacobian of the change of
-variables. Beside 1 stands "something else": all standard deviations are wrong by one factor, the likeliest one. Then
-N residuals have log p = -N/2 (1 + log(M_1 / N)). So a mistake is only found where it fits.
+variables. Where standard deviations grow with f, it is divided by as much as they, joined with what is known of the
+load, have grown. Beside 1 stands "something else": all standard deviations are wrong by one factor, the likeliest
+one. Then N residuals have log p = -N/2 (1 + log(M_1 / N)). So a mistake is only found where it fits.
 
 The information of neighbours may rest on a wrong gateway of theirs: two sides of opposite sign contradict each other,
 and a change of either one mends it. So the smaller one of the evidence with and without their information counts.
@@ -90,12 +91,14 @@ def expect_loads(area: Area) -> dict[tuple[MeasurementKind, int], Load]:
 class _Hypothesis:
     """Readings under a hypothesis, each joined with what is known of its load; p.u. and rad, (n_meas,).
 
-    ``beside``: the part of M that does not depend on the state.
+    ``beside``: the part of M that does not depend on the state. ``spread``: log of the product of the variances that
+    belong to it, which the density is divided by the root of.
     """
 
     z: np.ndarray
     sigma: np.ndarray
     beside: float
+    spread: float = 0.0
 
 
 class GatewayTest:
@@ -129,11 +132,13 @@ class GatewayTest:
         stated = rows.join(z, sigma)
         least = rows.solve(stated, start, received) if x is None else math.inf
         bound = min(least, rows.find_misfit(stated, start, received))
-        by_factor, at_most = {}, {}
+        n_known = len(self._loads) + sum(self._area.boundaries[name].n_powers for name in received)
+        by_factor, jacobians, at_most = {}, {}, {}
         for factor in MISTAKES:
             by_factor[factor] = rows.join(*_multiply(z, sigma, multiplied, factor))
-            jacobian = rows.count(multiplied, factor) * math.log(abs(factor))
-            at_most[factor] = jacobian - by_factor[factor].beside / 2 + bound / 2
+            growth = (by_factor[factor].spread - stated.spread) / 2
+            jacobians[factor] = rows.count(multiplied, factor, n_known) * math.log(abs(factor)) - growth
+            at_most[factor] = jacobians[factor] - by_factor[factor].beside / 2 + bound / 2
         found = dict.fromkeys(MISTAKES, -math.inf)
         if max(at_most.values()) <= 0:
             return found
@@ -146,8 +151,7 @@ class GatewayTest:
         reference = max(-least / 2, -n / 2 * (1 + math.log(max(least / n, 1.0))))
         for factor, hypothesis in by_factor.items():
             if at_most[factor] > 0:
-                jacobian = rows.count(multiplied, factor) * math.log(abs(factor))
-                found[factor] = jacobian - rows.solve(hypothesis, start, received) / 2 - reference
+                found[factor] = jacobians[factor] - rows.solve(hypothesis, start, received) / 2 - reference
         if received and max(found.values()) > 0:
             alone = self.weigh(readings, of_gateway, None, {})
             return {factor: min(ratio, alone[factor]) for factor, ratio in found.items()}
@@ -205,23 +209,25 @@ class _Rows:
         """A reading of an injection and what is known of its load are one of their joint weight."""
         k, z, sigma = self._joined, z.copy(), sigma.copy()
         of_reading, of_load = sigma[k] ** -2, self._sigma**-2
-        beside = float(((z[k] - self._mean) ** 2 / (sigma[k] ** 2 + self._sigma**2)).sum())
+        variance = sigma[k] ** 2 + self._sigma**2
+        beside, spread = float(((z[k] - self._mean) ** 2 / variance).sum()), float(np.log(variance).sum())
         z[k] = (of_reading * z[k] + of_load * self._mean) / (of_reading + of_load)
         sigma[k] = (of_reading + of_load) ** -0.5
-        return _Hypothesis(z, sigma, beside)
+        return _Hypothesis(z, sigma, beside, spread)
 
-    def count(self, multiplied: np.ndarray, factor: float) -> int:
+    def count(self, multiplied: np.ndarray, factor: float, n_known: int) -> int:
         """Of how many readings the Jacobian counts.
 
         Where standard deviations may grow with the readings, redundant ones tell nothing of the factor. Without
-        redundancy are at least the injections, or the flows of one kind through different branches.
+        redundancy are at least the injections, or the flows of one kind through different branches. Nor do more of
+        them tell of it than the ``n_known`` powers whose size schedules and neighbours tell.
         """
         if abs(factor) <= 1:
             return int(multiplied.sum())
         at_branches = {
             (m.kind, m.branch) for m, is_one in zip(self.meters, multiplied, strict=True) if is_one and m.branch
         }
-        return max(int((multiplied & self._is_injection).sum()), len(at_branches))
+        return min(n_known, max(int((multiplied & self._is_injection).sum()), len(at_branches)))
 
     def find_misfit(self, hypothesis: _Hypothesis, x: np.ndarray, received: Received) -> float:
         """M at ``x``; virtual measurements hold exactly, and do not count."""

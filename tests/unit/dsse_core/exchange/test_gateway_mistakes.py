@@ -10,8 +10,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from dsse_core.exchange.gateway_mistakes import MISTAKES, POWERS, THRESHOLD, GatewayTest, add_up, expect_loads
-from dsse_core.grid.measurement import Measurement, MeasurementKind, Source
-from dsse_core.grid.partition import Area
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.network import Branch, Bus, Network
+from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear.area_model import build_area_model
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
@@ -81,6 +82,29 @@ def test_where_standard_deviations_are_shares_of_what_is_read_a_unit_is_found_to
 def test_without_power_readings_nothing_is_weighed_and_zeros_have_no_unit():
     assert weigh([m for m in READINGS if not is_power(m)]) == {}
     assert weigh(multiply(0.0)) == {}
+
+
+def lateral(load: complex) -> Area:
+    """Buses 1 to 3 in a row, the load at the last one; the parent is met at bus 1."""
+    branches = tuple(Branch(f"{k}-{k + 1}", k, k + 1, r=0.007, x=0.01) for k in (1, 2))
+    buses = Bus(1, 20.0), Bus(2, 20.0), Bus(3, 20.0, load.real, load.imag)
+    return Area("a", Network("a", 1.0, buses, branches), (Neighbour("p", 1, True),), 1, None)
+
+
+def test_meters_of_thirty_percent_that_read_the_schedule_have_no_wrong_unit():
+    kinds = MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION
+    read = [
+        Measurement(Meter(kind, 3), value, -0.3 * value) for kind, value in zip(kinds, (-0.055, -0.025), strict=True)
+    ]
+    found = GatewayTest(lateral(0.06 + 0.025j)).weigh(read, {m.meter.id for m in read}, None, {})
+    assert max(found.values()) < 0
+
+
+def test_flows_through_an_area_without_loads_tell_no_unit_while_its_neighbours_are_silent():
+    places = (MeasurementKind.P_FLOW, 0.04), (MeasurementKind.Q_FLOW, 0.015)
+    flows = [Measurement(Meter(kind, k, f"{k}-{k + 1}"), value, 1e-4) for kind, value in places for k in (1, 2)]
+    found = GatewayTest(lateral(0j)).weigh(flows, {m.meter.id for m in flows}, None, {})
+    assert max(found.values()) < 1e-9  # but for rounding
 
 
 @pytest.mark.parametrize("seed", range(5))
