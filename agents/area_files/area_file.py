@@ -7,8 +7,7 @@ from pathlib import Path
 import tomli_w
 from pydantic_core import to_json
 
-from agents.protocol.configuration import Configuration
-from agents.protocol.configuration_keys import rows_of, table_of
+from agents.protocol.configuration import Configuration, rows_of, table_of
 from dsse_core.files.drafts import whole_file
 
 FORMAT = 1

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from agents.area_files.tables import area_table
-from agents.protocol.configuration import Configuration, SplitStamp
-from agents.protocol.configuration_keys import keys_of
+from agents.protocol.configuration import Configuration, SplitStamp, keys_of
 from dsse_core.endpoints import find_problems_in
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import StateLimits

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from agents.protocol.configuration import Configuration, SplitStamp
+from agents.protocol.configuration import Configuration, SplitStamp, table_of
 from agents.protocol.configuration_digest import digest_configuration, digest_split
 
 
@@ -17,6 +17,6 @@ def stamp_split(
 
     ``time``: of the split, s since 1970 UTC. ``sigmas``: the rule of the meters' standard deviations.
     """
-    contents = {content.area.name: digest_configuration(content) for content in files}
+    contents = {content.area.name: digest_configuration(table_of(content)) for content in files}
     digest = digest_split(contents, sigmas or {})
     return [replace(content, split=SplitStamp(digest, contents[content.area.name], time)) for content in files]

@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, create_model, model_validator
 
-from agents.protocol.configuration_keys import keys_of
+from agents.protocol.configuration import keys_of
 from dsse_core.estimation.state_limits import DEFAULT_LIMITS
 from dsse_core.files.kinds import AREA_FILE, FileKind
 from dsse_core.files.quantities import (

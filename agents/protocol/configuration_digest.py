@@ -13,15 +13,11 @@ from __future__ import annotations
 import hashlib
 import struct
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from agents.protocol.configuration_keys import table_of
 from dsse_core.split_identity import DIGITS
-
-if TYPE_CHECKING:
-    from agents.protocol.configuration import Configuration
 
 LEFT_OUT = frozenset(
     {
@@ -33,9 +29,9 @@ LEFT_OUT = frozenset(
 )
 
 
-def digest_configuration(content: Configuration) -> str:
-    """The digest of all on which the estimate rests in ``content``, 16 hex digits."""
-    return _digest(_list_places("", table_of(content)))
+def digest_configuration(values: Mapping[str, Any]) -> str:
+    """The digest of all on which the estimate rests in ``values`` of a configuration by key, 16 hex digits."""
+    return _digest(_list_places("", dict(values)))
 
 
 def digest_split(contents: Mapping[str, str], sigmas: Mapping[str, Any]) -> str:

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from dsse_core.errors import DsseError
-from dsse_core.estimation.estimator import EstimationResult, estimate_with_plan
+from dsse_core.estimation.estimator import estimate_with_plan
 from dsse_core.estimation.plan import EstimationPlan, build_estimation_plan
+from dsse_core.estimation.result import EstimationResult
 from dsse_core.grid.network import Network
 from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_with_plan

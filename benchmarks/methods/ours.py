@@ -11,9 +11,10 @@ import numpy as np
 from benchmarks.estimates.cases import Case
 from benchmarks.methods.method import TOLERANCE, State
 from dsse_core.estimation.bad_data import normalized_residuals
-from dsse_core.estimation.estimator import EstimationResult, estimate_with_plan
+from dsse_core.estimation.estimator import estimate_with_plan
 from dsse_core.estimation.plan import Backend, EstimationPlan, build_estimation_plan
 from dsse_core.estimation.residuals import chi_square_limit
+from dsse_core.estimation.result import EstimationResult
 from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.meter_table import KINDS, NO_BRANCH, make_meters

@@ -9,9 +9,8 @@ from typing import Literal
 import numpy as np
 
 from dsse_core.errors import NotObservableError
-from dsse_core.estimation.decision import Decision, Memory, Totals, decide, put_back
-from dsse_core.estimation.divergence import IterationLostError
-from dsse_core.estimation.estimator import EstimationResult, estimate_with_plan, iterate_with_plan, plan_scan
+from dsse_core.estimation.decision import Decision, IterationLostError, Memory, Totals, decide, put_back
+from dsse_core.estimation.estimator import estimate_with_plan, iterate_with_plan, plan_scan
 from dsse_core.estimation.plan import BackendChoice, EstimationPlan
 from dsse_core.estimation.residuals import (
     CONFIDENCE,
@@ -21,6 +20,7 @@ from dsse_core.estimation.residuals import (
     chi_square_limit,
     find_dead,
 )
+from dsse_core.estimation.result import EstimationResult
 from dsse_core.gauss_newton import LAST_STEP
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Network

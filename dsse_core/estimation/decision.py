@@ -11,6 +11,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+import numpy as np
+
 from dsse_core import gauss_newton
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, keep_equal, keep_tied
 from dsse_core.gauss_newton import FULL_STEPS, LAST_STEP, MOST_STEPS, MOST_STEPS_ANEW
@@ -38,6 +40,17 @@ class Decision(StrEnum):
 UNOBSERVABLE, DIVERGED, NO_ESTIMATE = "unobservable", "diverged", "no estimate"  # reasons of an end without success
 OUT_OF_REACH = "out of reach"  # another: the readings have no state to which the steps of a start lead
 STEPS_USED_UP = "steps used up"  # another: of an estimate, in which bad data is looked for no longer
+
+
+class IterationLostError(Exception):
+    """The iteration has no end. ``weighted``: |r| / sigma of all meters where it has stopped, (n_meas,).
+
+    ``reason``: of the end, DIVERGED or OUT_OF_REACH.
+    """
+
+    def __init__(self, iterations: int, step: float, weighted: np.ndarray, reason: str = DIVERGED) -> None:
+        super().__init__(f"no end after {iterations} iterations")
+        self.iterations, self.step, self.weighted, self.reason = iterations, step, weighted, reason
 
 
 @dataclass(frozen=True)
@@ -255,11 +268,11 @@ def most_steps(memory: Memory) -> int:
 
 
 def are_steps_used_up(memory: Memory) -> bool:
-    """Whether no further start is begun without a meter: the scan has taken all steps of one start and of that anew,
-    and of each start with a meter less those of one that goes well. So meters that have been found earn what is needed
-    to look for the next one, however many they are.
+    """True where no further start is begun without a meter: the scan has taken all steps that two starts may take, with
+    the bad meter and without it, and for each meter taken out those of a start that goes well. So meters that have been
+    found earn what is needed to look for the next one, however many they are.
     """
-    most = MOST_STEPS + MOST_STEPS_ANEW + FULL_STEPS * len(memory.removed)
+    most = 2 * (MOST_STEPS + MOST_STEPS_ANEW) + FULL_STEPS * len(memory.removed)
     return memory.spent + memory.steps > most
 
 

@@ -6,22 +6,20 @@ only if the others have an estimate, agree on it, and its reading lies far from 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from dsse_core.errors import BELIEVABLE, EstimationDivergedError, InvalidInputError, NotObservableError
-from dsse_core.estimation.decision import DIVERGED, Memory
+from dsse_core.estimation.decision import IterationLostError, Memory
+from dsse_core.estimation.plan import EstimationPlan
 from dsse_core.estimation.residuals import THRESHOLD
+from dsse_core.estimation.result import EstimationResult
 from dsse_core.gauss_newton import MAX_DVA, MAX_DVM, Solution
 from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.meter_table import KINDS, number_kinds
-
-if TYPE_CHECKING:
-    from dsse_core.estimation.estimator import EstimationResult
-    from dsse_core.estimation.plan import EstimationPlan
 
 MOST_SUSPECTS = 3  # without each of which it is estimated once more
 
@@ -32,17 +30,6 @@ class Estimate(Protocol):
     def __call__(
         self, plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, *, memory: Memory
     ) -> EstimationResult: ...
-
-
-class IterationLostError(Exception):
-    """The iteration has no end. ``weighted``: |r| / sigma of all meters where it has stopped, (n_meas,).
-
-    ``reason``: of ``decision``.
-    """
-
-    def __init__(self, iterations: int, step: float, weighted: np.ndarray, reason: str = DIVERGED) -> None:
-        super().__init__(f"no end after {iterations} iterations")
-        self.iterations, self.step, self.weighted, self.reason = iterations, step, weighted, reason
 
 
 def explain_divergence(
@@ -114,8 +101,6 @@ def _find_cause(plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, es
 
 def _find_weakest(plan: EstimationPlan, sigmas: np.ndarray) -> str:
     """That noise alone moves a voltage farther than a step may be long, at the flat start; empty if it moves none."""
-    from dsse_core.estimation.estimator import EstimationResult
-
     vm, va = flat_start(plan.network, plan.reference)
     nothing: Solution = vm, va, np.zeros(len(sigmas)), 0.0, 0
     try:

@@ -9,8 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dsse_core.estimation.decision import DIVERGED, OUT_OF_REACH, Memory, begin_at_flat_start, most_steps
-from dsse_core.estimation.divergence import IterationLostError
+from dsse_core.estimation.decision import (
+    DIVERGED,
+    OUT_OF_REACH,
+    IterationLostError,
+    Memory,
+    begin_at_flat_start,
+    most_steps,
+)
 from dsse_core.estimation.radial_threads import estimate_on_threads
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
 from dsse_core.gauss_newton import EVALUATE, LARGEST_STEP, LOST, Solution

@@ -11,8 +11,16 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from dsse_core.estimation.decision import DIVERGED, Decision, Memory, Totals, Verdict, begin_at_flat_start, decide
-from dsse_core.estimation.divergence import IterationLostError
+from dsse_core.estimation.decision import (
+    DIVERGED,
+    Decision,
+    IterationLostError,
+    Memory,
+    Totals,
+    Verdict,
+    begin_at_flat_start,
+    decide,
+)
 from dsse_core.gauss_newton import LARGEST_STEP, Solution
 from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.measurement import MeasurementKind, Meter

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from dsse_core.estimation.bad_data import BadDataReport, find_critical
-from dsse_core.estimation.estimator import EstimationResult
+from dsse_core.estimation.result import EstimationResult
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.meter_table import find_places
 from dsse_core.grid.network import Network

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dsse_core.estimation.estimator import EstimationResult
+from dsse_core.estimation.result import EstimationResult
 from dsse_core.results.deviations.branch_variances import BranchGradients, find_branch_variances, find_gradients
 from dsse_core.results.flows import BranchModel
 from dsse_core.results.state import GridState, find_state

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from dsse_core.estimation.estimator import EstimationResult
 from dsse_core.estimation.residuals import LEAST_REDUCTION
+from dsse_core.estimation.result import EstimationResult
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import MeasurementKind, Meter

@@ -12,7 +12,8 @@ from agents.area_files.split_digest import stamp_split
 from agents.messages.packing import encode
 from agents.protocol.events import Received
 from agents.strategies.admm_boundary import AdmmMessage
-from dsse_core.estimation.estimator import EstimationResult, estimate_state
+from dsse_core.estimation.estimator import estimate_state
+from dsse_core.estimation.result import EstimationResult
 from dsse_core.grid.division import build_partition
 from dsse_core.link_faults import LinkFaults
 from scenarios.faults.faults import Faults

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
-from dsse_core.estimation.estimator import EstimationResult, estimate_state
+from dsse_core.estimation.estimator import estimate_state
+from dsse_core.estimation.result import EstimationResult
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.measurement_model import build_measurement_model

@@ -8,7 +8,7 @@ from scipy.special import gammainc
 
 from dsse_core.errors import NotObservableError
 from dsse_core.estimation.bad_data import find_critical, normalized_residuals
-from dsse_core.estimation.divergence import IterationLostError
+from dsse_core.estimation.decision import IterationLostError
 from dsse_core.estimation.estimator import iterate_with_plan
 from dsse_core.estimation.residuals import chi_square_limit, keep_tied
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source

@@ -125,7 +125,7 @@ def test_starts_that_end_well_are_begun_for_as_many_bad_meters_as_there_are():
 def test_a_scan_whose_starts_end_badly_has_steps_for_two_of_them():
     memory, decided = evaluate(Memory(), MOST_STEPS + MOST_STEPS_ANEW)
     assert decided.decision is Decision.ANEW
-    memory, decided = evaluate(memory, FULL_STEPS + 1)
+    memory, decided = evaluate(memory, MOST_STEPS + MOST_STEPS_ANEW + FULL_STEPS + 1)
     assert decided == verdict.Verdict(Decision.FINAL, reason=verdict.STEPS_USED_UP)
     assert memory.removed == ("m0",)
 

@@ -13,8 +13,9 @@ import pytest
 from grids import MeterShares, make_grid
 
 from dsse_core.errors import EstimationDivergedError
-from dsse_core.estimation.estimator import EstimationResult, estimate_state, estimate_with_plan
+from dsse_core.estimation.estimator import estimate_state, estimate_with_plan
 from dsse_core.estimation.plan import build_estimation_plan
+from dsse_core.estimation.result import EstimationResult
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.power_flow.newton_raphson import solve_power_flow

@@ -1,0 +1,128 @@
+"""The estimate of a network's state, with standard deviations, covariances and variances of residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from dsse_core.estimation.decision import Memory
+from dsse_core.estimation.plan import Backend, EstimationPlan
+from dsse_core.estimation.radial import RadialInverse, find_radial_variances, invert_radial
+from dsse_core.grid.measurement import Measurement
+from dsse_core.grid.network import Network
+from dsse_core.matrices.augmented import AugmentedFactor
+
+
+@dataclass(frozen=True, repr=False)
+class EstimationResult:
+    """The estimate. ``vm`` p.u., ``va`` rad: shape (n_bus,), network order; ``residual`` z - h(x): (n_meas,).
+
+    ``values``, ``sigmas`` (n_meas,): the readings of the plan's meters, sigma 0 where a reading holds exactly.
+    ``objective`` is J(x) (eq. 3.9), which under the model's assumptions is chi-square distributed with
+    ``degrees_of_freedom`` = measurements + constraints - state variables. What is not stored is computed when it is
+    asked for, by the radial back end where that is chosen, and else, or where it does not give it, by sparse
+    factorisation. ``iterations``: steps since the start that it ended from. ``memory``: what later verdicts rest on;
+    ``evaluating`` where J has exceeded the chi-square limit.
+    """
+
+    plan: EstimationPlan
+    values: np.ndarray
+    sigmas: np.ndarray
+    memory: Memory
+    vm: np.ndarray
+    va: np.ndarray
+    residual: np.ndarray
+    objective: float
+    iterations: int
+
+    def __repr__(self) -> str:
+        return (
+            f"<EstimationResult of {self.network.name!r}: {len(self.vm)} buses, J = {self.objective:.4g} "
+            f"with {self.degrees_of_freedom} degrees of freedom, {self.iterations} iterations, {self.backend!r}>"
+        )
+
+    @property
+    def backend(self) -> Backend:
+        """By which the state was found; ``plan.radial`` says why not by the other."""
+        return self.plan.backend
+
+    @property
+    def network(self) -> Network:
+        return self.plan.network
+
+    @property
+    def reference(self) -> int:
+        """The bus whose angle is given."""
+        return self.plan.reference
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        return self.plan.degrees_of_freedom
+
+    @property
+    def free(self) -> np.ndarray:
+        """The unknown entries of x = [va; vm]: all but the reference angle."""
+        return self.plan.sparse.free
+
+    @cached_property
+    def measurements(self) -> tuple[Measurement, ...]:
+        readings = zip(self.plan.meters, self.values.tolist(), self.sigmas.tolist(), strict=True)
+        return tuple(Measurement(meter, value, sigma) for meter, value, sigma in readings)
+
+    @cached_property
+    def jacobian(self) -> sp.csr_array:
+        """H(x), columns ``free``."""
+        return self.plan.sparse.linearize(np.concatenate([self.va, self.vm]))[1]
+
+    @cached_property
+    def factor(self) -> AugmentedFactor:
+        return self.plan.sparse.factor(self.jacobian, self.sigmas)
+
+    def state_covariance(self, rows: Sequence[int]) -> np.ndarray:
+        """Covariance of the entries ``rows`` of x = [va; vm], shape (k, k); 0 for the reference angle."""
+        position = {int(row): k for k, row in enumerate(self.free)}
+        unit = np.zeros((len(self.free), len(rows)))
+        for column, row in enumerate(rows):
+            if row in position:
+                unit[position[row], column] = 1.0
+        covariance: np.ndarray = unit.T @ self.factor.covariance_times(unit)
+        return covariance
+
+    def state_sigma(self) -> tuple[np.ndarray, np.ndarray]:
+        """Standard deviations (sigma_vm, sigma_va) of all buses, p.u. and rad; nan where they would take too long."""
+        if (of_radial := self._radial_variances) is not None:
+            variance = of_radial[0]
+        else:
+            variance = np.zeros(2 * len(self.vm))
+            variance[self.free] = self.factor.state_variance(limited=True)
+        sigma_va, sigma_vm = np.split(np.sqrt(np.maximum(variance, 0.0)), 2)
+        return sigma_vm, sigma_va
+
+    @cached_property
+    def residual_variance(self) -> np.ndarray:
+        """diag(Omega), ``Omega = R - H G^-1 H'`` (eq. 3.22), shape (n_meas,); 0 for virtual measurements.
+
+        In networks with so many long loops that all would take too long it is nan, but of the largest |r| / sigma.
+        """
+        if (of_radial := self._radial_variances) is not None:
+            return of_radial[1]
+        exact = self.sigmas == 0
+        weighted = np.where(exact, 0.0, abs(self.residual) / np.where(exact, 1.0, self.sigmas))
+        found = self.factor.residual_variance(np.argsort(-weighted, kind="stable"))
+        return np.where(exact, 0.0, found)
+
+    @cached_property
+    def radial_inverse(self) -> RadialInverse:
+        """What all variances follow from where the back end is radial."""
+        assert not isinstance(self.plan.radial, str), "the back end is sparse"
+        return invert_radial(self.plan.radial, self.sigmas, self.vm, self.va)
+
+    @property
+    def _radial_variances(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Variances of x and of the residuals where the back end is radial."""
+        radial = self.plan.radial
+        return None if isinstance(radial, str) else find_radial_variances(radial, self.radial_inverse)
