@@ -41,6 +41,10 @@ class SplitIdentity:
         """Whether the file is as its split has written it."""
         return bool(self.digest) and not self.edited
 
+    def is_newer_than(self, other: SplitIdentity) -> bool:
+        """True where this file is of a later split, or of one of the same time and, unlike ``other``, not edited."""
+        return self.age_order[:2] > other.age_order[:2]
+
     @property
     def age_order(self) -> tuple[float, bool, str, str]:
         """The key by which files are sorted from the oldest to the newest; an edited one is older than its split's."""

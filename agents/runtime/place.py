@@ -49,5 +49,5 @@ def _find_newer(content: Configuration, session: Session, known: Sequence[SplitI
     own = max(known, key=lambda split: split.age_order)
     tokens = session.find_presence(all_incarnations(content.run, "area", content.area.name), ANSWER_S)
     splits = [split_of(key) for key in tokens if incarnation_of(key)]
-    others = [split for split in splits if split not in known and split.age_order > own.age_order]
+    others = [split for split in splits if split not in known and split.is_newer_than(own)]
     return max(others, key=lambda split: split.age_order, default=None)

@@ -28,6 +28,7 @@ def file_of(time: float, tolerance: float = 1e-6) -> AreaFile:
 
 OLD, NEW = file_of(AT), file_of(AT + 3600, 1e-5)
 EDITED = replace(NEW, tolerance=1e-7)
+OF_ONE_TIME = (file_of(AT, 1e-5), file_of(AT, 1e-7)), (EDITED, replace(NEW, tolerance=1e-8))
 
 
 class Bus:
@@ -67,6 +68,12 @@ def test_a_process_with_a_newer_file_keeps_its_place_and_both_files_are_named(gi
 )
 def test_the_place_of_one_with_the_same_or_an_older_file_is_taken_at_once(given: AreaFile, running: AreaFile | None):
     assert take(given, running) == 0.0
+
+
+@pytest.mark.parametrize("files", OF_ONE_TIME)
+def test_of_two_splits_of_one_time_and_of_two_edited_files_none_is_newer(files: tuple[AreaFile, AreaFile]):
+    one, other = files
+    assert take(one, other) == take(other, one) == 0.0
 
 
 def test_a_process_that_had_gone_over_to_the_next_file_is_not_waited_for():
