@@ -1,1 +1,1 @@
-"""What an area knows of its neighbours: what they sent last, how new it is, whether both agree; what is rejected."""
+"""The neighbours of an area: their newest messages, freshness, agreement of both files; and rejected messages."""

@@ -1,4 +1,4 @@
-"""What the area files of two neighbours say of both, and must say alike; one of them may have been edited by hand."""
+"""Agreement of two neighbours on the entries that both area files have; a file may have been edited by hand."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from dsse_core.grid.partition import Area
 
 
 class Agreement:
-    """In what each neighbour contradicts this area, by what it has sent last.
+    """Contradictions between each neighbour and this area, by the newest messages of the neighbour.
 
     ``kinds``: of the messages that only areas of ``strategy`` send. An area of another strategy answers heartbeats, so
-    that it is present, and never what is asked of it.
+    that it is present. It never answers messages of these kinds.
     """
 
     def __init__(self, area: Area, strategy: str, kinds: Collection[str]) -> None:
@@ -24,7 +24,7 @@ class Agreement:
         self._of_other_strategy: dict[str, Incarnation] = {}
 
     def find_contradiction(self, message: Message) -> str:
-        """In what the neighbour that has sent ``message`` contradicts this area, and what to correct; else empty."""
+        """Returns the contradiction between the sender of ``message`` and this area, and its cure; or ""."""
         name, incarnation = message.header.sender, message.header.incarnation
         if isinstance(message, HeartbeatMessage):
             self._in_file[name] = find_contradiction(self._area, message)
@@ -38,7 +38,7 @@ class Agreement:
 
 
 def describe_boundary(area: Area, name: str) -> dict[str, Any]:
-    """What a heartbeat to neighbour ``name`` says of the area file."""
+    """Returns the fields of a heartbeat to neighbour ``name`` that repeat entries of the area file."""
     return {
         "towards_hub": area.towards_hub == name,
         "is_parent": area.parent is not None and area.parent.area == name,
@@ -48,9 +48,9 @@ def describe_boundary(area: Area, name: str) -> dict[str, Any]:
 
 
 def find_contradiction(area: Area, message: HeartbeatMessage) -> str:
-    """Where the area file of the sender contradicts that of ``area``, and which key to correct; empty if it does not.
+    """Returns the contradiction between the sender's area file and that of ``area``, and the key to correct; or "".
 
-    Without one hub towards which all edges of the tree point two areas wait for each other for ever.
+    All edges of the tree must point towards one hub. Otherwise two areas wait for each other for ever.
     """
     name = message.header.sender
     own = describe_boundary(area, name)

@@ -1,7 +1,7 @@
-"""How long what was last received counts as fresh, and which of two messages of a sender is the newer one.
+"""Freshness: the time for which a received message counts as fresh, and the order of two messages of a sender.
 
-Ages are by the area's own clock, from the moment of arrival: what a paused process or a slow link brings late is not
-young because it says so.
+Ages count by the area's own clock, from the moment of arrival. The send time that a message states does not make it
+fresh: a paused process or a slow link may have delivered it late.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ PATIENCE_HEARTBEATS = 8  # of silence after which a process counts as gone, and 
 
 
 def is_old(header: Header, last: Header, silence_s: float, over_s: float) -> bool:
-    """Whether ``last``, not received for ``silence_s``, is newer: a later message of its incarnation, or of a later
-    one.
+    """True where ``last``, not received for ``silence_s``, is newer: a later message of the same incarnation, or a
+    message of a later one.
 
-    One that was silent for more than ``over_s`` is over: the clock of the next one may have been set back, and a number
-    that its sender does not repeat was somebody else's.
+    An incarnation that was silent for more than ``over_s`` is over: no message is old beside it. The clock of the next
+    incarnation may have been set back, and a number that its sender does not repeat came from another process.
     """
     return header.order < last.order and silence_s <= over_s

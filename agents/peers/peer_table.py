@@ -1,4 +1,4 @@
-"""The neighbours of an area: who is there, what was last sent to whom, and what is due."""
+"""The neighbours of an area: which are present, the last message to each, and the messages that are due."""
 
 from __future__ import annotations
 
@@ -17,13 +17,15 @@ M = TypeVar("M", bound=LinkMessage)
 
 
 class PeerTable:
-    """``gone``: neighbours whose processes have ended -> their leave message. ``distrusted``: neighbour -> why its
-    messages are not used in this scan. ``skewed``: neighbours whose clocks are too far from the own one.
-    ``correction``: by how much the own clock is ahead of the own send times, s.
+    """Table of the neighbours of an area.
+
+    ``gone``: neighbours whose processes have ended -> reason of their leave message, empty without one.
+    ``distrusted``: neighbour -> why its messages are not used in this scan. ``skewed``: neighbours whose clocks are too
+    far from the own one -> skew. ``correction``: lead of the own clock over the own send times, s; never positive.
 
     Args:
         clock_offset: from monotonic to wall-clock time, s, as send times state it.
-        skew_limit_s: by how much clocks may differ, s.
+        skew_limit_s: largest allowed difference of clocks, s.
     """
 
     def __init__(
@@ -53,17 +55,20 @@ class PeerTable:
         yield from self._peers.items()
 
     def follow_clock(self, offset: float, now: float) -> None:
-        """The own clock has been set, ``offset`` from monotonic time: send times go forward with it, never back."""
+        """Follows the own clock, now set ``offset`` from monotonic time: send times go forward with it, never back."""
         if offset > self.clock_offset:
             self.clock_offset = offset
-            for peer in self._peers.values():  # nothing that was sent before measures a round trip
+            for peer in self._peers.values():  # messages sent before measure no round trip
                 peer.since, peer.clock = now + offset, ClockSkew()
         self.correction = offset - self.clock_offset
         for name in self._peers:
             self.note_skew(name)
 
     def note_skew(self, name: str) -> None:
-        """Note whether the clock of a neighbour, or the own one, is wrong by too much, now that more is known of it."""
+        """Puts a neighbour into ``skewed`` if its clock certainly differs from the own one by more than the limit.
+
+        Otherwise takes it out.
+        """
         skew = self._find_skew(self._peers[name])
         if skew is not None and skew.exceeds(self._skew_limit_s):
             self.skewed[name] = skew
@@ -71,7 +76,7 @@ class PeerTable:
             self.skewed.pop(name, None)
 
     def clock_skews(self) -> dict[str, float]:
-        """Neighbour -> by how much its clock is ahead, s, where that is known."""
+        """Neighbour -> lead of its clock over the own one, s, where that is known."""
         skews = ((name, self._find_skew(peer)) for name, peer in sorted(self._peers.items()))
         return {name: skew.ahead_s for name, skew in skews if skew is not None}
 
@@ -80,11 +85,11 @@ class PeerTable:
         return skew and skew._replace(ahead_s=skew.ahead_s + peer.correction - self.correction)
 
     def absent_at(self, name: str) -> float:
-        """When a neighbour counts as gone if it does not report until then that it receives us."""
+        """Returns the time at which a neighbour counts as gone unless it reports before then that it receives us."""
         return self._peers[name].present_at + self._peers[name].patience_s
 
     def is_present(self, name: str, now: float) -> bool:
-        """Whether a neighbour is there, and receives us as we receive it."""
+        """True where a neighbour has not ended, and has reported within its patience that it receives us."""
         return name not in self.gone and self.absent_at(name) > now
 
     def present(self, now: float) -> frozenset[str]:
@@ -92,42 +97,43 @@ class PeerTable:
         return frozenset(name for name in self._peers if self.is_present(name, now)) - self.distrusted.keys()
 
     def is_of_former_incarnation(self, header: Header, now: float) -> bool:
-        """Whether a message comes from a process that has ended since.
+        """True where a message comes from a process that has ended since: a later one is received.
 
-        If the later one is received no more, it may be that the clock of one that began still later was set back.
+        If the later process is received no more, the message may come from a process that began after it, with a clock
+        that was set back.
         """
         newest = self._peers[header.sender].incarnation
         return newest is not None and header.incarnation < newest and self.receives(header.sender, now)
 
     def receives(self, name: str, now: float) -> bool:
-        """Whether we receive a neighbour."""
+        """True where the last message of a neighbour arrived within its patience."""
         peer = self._peers[name]
         return bool(now <= peer.received_at + peer.patience_s)
 
     def note_gone(self, name: str, leave_reason: str) -> None:
-        """The process of a neighbour has ended."""
+        """Notes that the process of a neighbour has ended."""
         self.gone[name] = leave_reason
         self._peers[name].present_at = -math.inf
 
     def stamp(self, name: str, message: M, now: float, *, is_complete: bool) -> M:
-        """``message`` as it is sent to ``name`` now; ``is_complete``: what is to be stated of the own side."""
+        """Returns ``message`` as it is sent to ``name`` now; ``is_complete``: its statement about the own side."""
         peer, is_two_way = self._peers[name], isinstance(message, HeartbeatMessage | BoundaryUpdate)
         peer.note_sent(now)
-        stated = term_of(message), is_two_way and is_complete  # a message of a round takes the latter back
+        stated = term_of(message), is_two_way and is_complete  # a message of a round takes back that the side is complete
         if (peer.sent_term, peer.sent_complete) != stated:
             (peer.sent_term, peer.sent_complete), peer.changed_at = stated, now
         link: dict[str, Any] = {"complete": is_complete} if is_two_way else {}
         return replace(
             message,
             header=replace(message.header, time=peer.next_time(now + self.clock_offset)),
-            receives=self.receives(name, now) and name not in self.distrusted,  # else it would wait for us
+            receives=self.receives(name, now) and name not in self.distrusted,  # otherwise it would wait for this area
             answers=peer.answers(now),
             received=peer.received,
             **link,
         )
 
     def due_times(self, now: float, is_at_rest: bool) -> Iterator[float]:
-        """When heartbeats and repeats are due."""
+        """Times at which heartbeats and repeats are due."""
         for name, peer in self._peers.items():
             yield peer.sent_at + self._quiet_s(name, now, is_at_rest)
             for sent in peer.outgoing:
@@ -135,9 +141,9 @@ class PeerTable:
                     yield sent.repeat.at
 
     def take_due_repeats(self, now: float) -> Iterator[tuple[str, Any]]:
-        """Which messages are to be sent again now, and to whom.
+        """Yields each neighbour and message whose repeat is due now.
 
-        A neighbour that is not there needs none: when it is back, its heartbeat reports that it lacks the message.
+        A neighbour that is absent gets no repeat: when it is back, its heartbeat reports that it lacks the message.
         """
         for name, peer in self._peers.items():
             for sent in peer.outgoing:
@@ -150,16 +156,22 @@ class PeerTable:
                     sent.repeat = None
 
     def owes_heartbeat(self, name: str, now: float, is_at_rest: bool, is_heartbeat: bool) -> bool:
-        """Whether nothing has been sent for too long. ``is_heartbeat``: those that get one per heartbeat get it now."""
+        """True where the last message to a neighbour was sent too long ago.
+
+        ``is_heartbeat``: a heartbeat interval of this area ends now. At rest a neighbour that gets one heartbeat per
+        interval gets it at this moment.
+        """
         sent_at, quiet_s = self._peers[name].sent_at, self._quiet_s(name, now, is_at_rest)
         if is_heartbeat and is_at_rest and quiet_s == self._heartbeat_s:
             return sent_at < now
         return now >= sent_at + quiet_s
 
     def _quiet_s(self, name: str, now: float, is_at_rest: bool) -> float:
-        """How long nothing is sent: ever longer since the content of heartbeats has changed, as one may be lost, or on
-        this link several; at rest a heartbeat at most, before no longer than patience allows. At rest a message to a
-        neighbour that is there is repeated until that is received, ever more rarely, too: it may be slow.
+        """Returns the time, s, between the last message to a neighbour and the next heartbeat.
+
+        The time grows with the time since the content of heartbeats changed, as one heartbeat may be lost, or on this
+        link several. At rest it is at most a heartbeat interval; before, also at most the share of patience of one
+        message. At rest it also grows while a present neighbour, which may be slow, leaves a message unanswered.
         """
         peer = self._peers[name]
         longest_s = (
@@ -171,12 +183,14 @@ class PeerTable:
         return min(longest_s, max(peer.round_trip.longest_wait_s, unchanged_s))
 
     def begin_term(self) -> None:
-        """Messages of former rounds count no more; everybody is to learns of the term."""
+        """Drops the messages of former rounds; owes each neighbour a heartbeat that announces the term."""
         for peer in self._peers.values():
             peer.begin_term()
 
     def find_old(self, term: Term, links: frozenset[str], now: float, heartbeats: float = FRESH_HEARTBEATS) -> set[str]:
-        """Neighbours not received, not receiving us, in another term, or with a side that they call incomplete."""
+        """Returns the neighbours not in ``links``, not received for ``heartbeats``, not receiving us, in another term,
+        or with a side that they state as incomplete.
+        """
         return {
             name
             for name, peer in self._peers.items()
@@ -188,7 +202,7 @@ class PeerTable:
         }
 
     def aging_times(self, now: float) -> Iterator[float]:
-        """When what is fresh now will not be, if nothing is received until then."""
+        """Times at which a neighbour that is fresh now becomes old, if no message of it arrives before."""
         for peer in self._peers.values():
             for heartbeats in (FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS):
                 if (at := peer.received_at + heartbeats * self._heartbeat_s) > now:

@@ -1,7 +1,7 @@
-"""What an area knows of its neighbours as processes: which incarnation, where it stands, how long a message takes.
+"""The neighbours of an area as processes: incarnation, term and round, and the time that messages take.
 
-Presence is two-way: a neighbour is present only if it is received and reports that it receives us, so that both sides
-of a link that passes messages one way only come to the same conclusion.
+Presence is two-way: a neighbour is present only if it is received and reports that it receives us. So both sides of a
+link that passes messages one way only come to the same conclusion.
 """
 
 from __future__ import annotations
@@ -22,20 +22,22 @@ from agents.peers.clock_skew import ClockSkew
 from agents.peers.freshness import PATIENCE_HEARTBEATS
 from agents.peers.round_trip import MEAN_GAIN, RoundTrip
 
-PATIENCE_WAITS = 20  # messages, one each longest wait, that should have come through: none does once in 5e8 times
+PATIENCE_WAITS = 20  # messages expected to arrive, one each longest wait: all of them fail once in 5e8 times
 
 Term = tuple[int, int]  # scan, revision
 M = TypeVar("M", LoadMessage, ExchangeMessage)
 
 
 def term_of(message: LinkMessage) -> Term:
-    """Where the sender stands; asynchronous strategies know no revisions."""
+    """Returns (scan, revision) of the sender; the revision is 0 under asynchronous strategies."""
     return message.header.scan, 0 if isinstance(message, BoundaryUpdate) else message.revision
 
 
 @dataclass
 class Repeat:
-    """When a message is sent again if it is not acknowledged; ``wait_s``: since the ``count``-th time it was sent."""
+    """Time at which a message without acknowledgement is sent again; ``wait_s``: since it was sent for the
+    ``count``-th time.
+    """
 
     at: float
     wait_s: float
@@ -44,10 +46,10 @@ class Repeat:
 
 @dataclass
 class Outgoing(Generic[M]):
-    """The last message of one sort to a neighbour; ``repeat``: whether and when it is sent again.
+    """Last message of one sort to a neighbour; ``repeat``: its next repeat, None without one.
 
-    ``sequence``: its number, which goes on where the message is forgotten. An older one need not be kept: messages are
-    absolute.
+    ``sequence``: number of the message, which goes on where the message is forgotten. Older messages are not kept:
+    messages are absolute.
     """
 
     message: M | None = None
@@ -59,17 +61,17 @@ class Outgoing(Generic[M]):
 class Peer:
     """One neighbour. Times are of the own monotonic clock, s; -inf for never.
 
-    ``present_at``: when it last reported that it receives us, as far as that is believed; ``received_at``: when it was
-    last received. ``term``, ``k``, ``final``, ``complete``, ``y``: where it stood then. ``load``, ``exchange``: the
-    last load message and the last message of the strategy to it; ``received_load``, ``boundary``: its newest ones, the
-    latter of asynchronous strategies; ``received_sequence``: number of its newest message of the strategy in this
-    incarnation. ``clock``: how its send times compare to the own ones; ``correction``: by how much its clock is ahead
-    of its send times, s.
+    ``present_at``: when it last reported that it receives us; before any report, the start of the own process; -inf
+    after its process has ended. ``received_at``: when it was last received. ``term``, ``k``, ``final``, ``complete``, ``y``: as its newest message states them. ``load``,
+    ``exchange``: the last load message and the last message of the strategy to it; ``received_load``, ``boundary``: the
+    newest ones from it, the latter of asynchronous strategies; ``received_sequence``: number of its newest message of
+    the strategy in this incarnation. ``clock``: skew of its send times; ``correction``: lead of its clock over its send
+    times, s.
     """
 
     bus: int
     present_at: float
-    since: float  # wall-clock time at which the own process began: nothing of before counts as an answer
+    since: float  # wall-clock time at which the own process began or its clock was set forward: no earlier answer counts
     heartbeat_s: float  # within which a message goes either way
     sent_at: float = -math.inf
     unanswered_since: float = -math.inf  # the first message to it since it was received
@@ -82,9 +84,9 @@ class Peer:
     y: tuple[float, ...] = ()
     sent_term: Term = (0, 0)
     sent_complete: bool = False
-    changed_at: float = -math.inf  # when it last sent other ones
-    sent_time: float = 0.0  # send time of the last message to it, as that states it
-    is_owed_reply: bool = False  # what it has sent, or what has changed, is to be answered at once
+    changed_at: float = -math.inf  # when these two last changed
+    sent_time: float = 0.0  # send time that the last message to it states
+    is_owed_reply: bool = False  # a heartbeat to it is due at once
     load: Outgoing[LoadMessage] = field(default_factory=Outgoing)
     exchange: Outgoing[ExchangeMessage] = field(default_factory=Outgoing)
     received_load: LoadMessage | None = None
@@ -95,7 +97,7 @@ class Peer:
     clock: ClockSkew = field(default_factory=ClockSkew)
     correction: float = 0.0
     _newest: tuple[float, float] = (0.0, -math.inf)  # send time by its clock, and when it arrived here
-    _timed: Incarnation | None = None  # the one whose send times these are
+    _timed: Incarnation | None = None  # incarnation that ``_newest`` and ``clock`` belong to
     _answered: float = -math.inf  # the latest own time that it has answered
     _load_at: float = -math.inf  # when the newest load message, or a repeat of it, arrived
     _exchange_at: float = -math.inf  # the same of the newest message of the strategy
@@ -108,15 +110,17 @@ class Peer:
 
     @property
     def over_s(self) -> float:
-        """How long a number counts that is not received again: a later time or a higher number than its sender has is
-        false, and what follows it would else be old for ever.
+        """Time, s, for which a send time or number counts that is not received again.
+
+        A later time or a higher number than its sender has is false. Without this limit, all that the sender sends
+        afterwards would be old for ever.
         """
         return PATIENCE_HEARTBEATS * self.heartbeat_s
 
     def take(self, message: LinkMessage, now: float, wall: float, *, is_awake: bool) -> None:
-        """Note what any message states of the process and the link; ``wall``: ``now`` as own messages state it.
+        """Notes what any message states of the process and the link; ``wall``: ``now`` as own messages state it.
 
-        ``is_awake``: it was taken in as it came, so that it measures how long messages take.
+        ``is_awake``: the message was taken in as it came, so that it measures how long messages take.
         """
         header = message.header
         if header.incarnation != self.incarnation:
@@ -139,9 +143,9 @@ class Peer:
                 self.take_reply(sent)
 
     def take_times(self, message: LinkMessage, now: float, wall: float) -> tuple[bool, float | None]:
-        """Note when a message was sent: all that counts of one whose content is rejected for the time of its clock.
+        """Notes the send time of a message. Of a message that is rejected for its clock nothing else counts.
 
-        Whether it is the newest one, and its round trip, s, None where it answers nothing.
+        Returns whether it is the newest message, and its round trip, s, None where it answers nothing.
         """
         header, trip_s = message.header, None
         if header.incarnation != self._timed:
@@ -159,15 +163,16 @@ class Peer:
         return is_newest, trip_s
 
     def _may_answer(self, answers: float, wall: float) -> bool:
-        """Whether ``answers`` can be what a neighbour states of a message of ours, and measures a round trip.
+        """True where ``answers`` can be a neighbour's statement about a message of ours, and measures a round trip.
 
-        The newest message that it has received is none that was sent before the one that it has answered already, and
-        of these there is one each heartbeat: a longer trip than since then no message can have been under way.
+        The newest message that the neighbour has received was not sent before one that it has answered already. A
+        message is sent to it every heartbeat interval, so ``answers`` is at most one interval before the latest time
+        that it has answered. No message can have been under way for longer than since then.
         """
         return max(self.since, self._answered - self.heartbeat_s) <= answers <= wall
 
     def _bring_repeats_forward(self) -> None:
-        """What waits longer for its repeat than the longest wait, as that is known now, does so no more."""
+        """Shortens the wait for a repeat to the longest wait, as that is known now."""
         wait = self.round_trip.longest_wait_s
         for sent in self.outgoing:
             if (repeat := sent.repeat) is not None and wait < repeat.wait_s:
@@ -185,11 +190,14 @@ class Peer:
 
     @property
     def outgoing(self) -> tuple[Outgoing[Any], ...]:
-        """In the order of ``received``."""
+        """The load message and the message of the strategy to the neighbour, in the order of ``received``."""
         return self.load, self.exchange
 
     def take_load(self, message: LoadMessage, now: float) -> bool:
-        """Keep a load message of the present incarnation; whether it is newer than the last one."""
+        """Keeps a load message that is newer than the last one, or that follows one not received for ``over_s``.
+
+        Returns whether it is kept.
+        """
         last, header = self.received_load, message.header
         is_over = now > self._load_at + self.over_s
         is_new = last is None or header.order > last.header.order or (is_over and header.order != last.header.order)
@@ -202,7 +210,10 @@ class Peer:
         return is_new
 
     def take_number(self, sequence: int, now: float) -> bool:
-        """Note the number of a message of the strategy that is used; whether it is newer than the last one."""
+        """Notes the number of a message of the strategy.
+
+        Returns whether it is higher than the last one, or follows one not received for ``over_s``.
+        """
         is_over = now > self._exchange_at + self.over_s
         is_new = sequence > self.received_sequence or (is_over and sequence != self.received_sequence)
         if is_new or sequence == self.received_sequence:
@@ -211,76 +222,86 @@ class Peer:
 
     @property
     def received(self) -> tuple[int, int]:
-        """The numbers of its newest load message and message of the strategy, which acknowledge them; 0 without one."""
+        """Numbers of the neighbour's newest load message and message of the strategy, which acknowledge both; 0 without
+        one.
+        """
         load = self.received_load
         of_this_incarnation = load is not None and load.header.incarnation == self.incarnation
         return load.header.sequence if load and of_this_incarnation else 0, self.received_sequence
 
     def answers(self, now: float) -> float:
-        """The send time of its newest message plus the time that this has lain here; 0 without one."""
+        """Returns the send time of the neighbour's newest message plus the time since its arrival, s; 0 without one."""
         sent_at, arrived_at = self._newest
         return sent_at + (now - arrived_at) if sent_at else 0.0
 
     @property
     def patience_messages(self) -> float:
-        """How many of its messages are lost before it counts as gone: PATIENCE_WAITS should have come through; of
-        ``mean_count`` round trips one is not lost, of its root one message.
+        """Number of messages of the neighbour that are lost before it counts as gone.
+
+        Of these, PATIENCE_WAITS should have arrived: one of ``mean_count`` round trips succeeds, so one of
+        sqrt(``mean_count``) messages arrives.
         """
         return PATIENCE_WAITS * math.sqrt(self.mean_count)
 
     @property
     def patience_s(self) -> float:
-        """How long it may send nothing before it counts as gone, at least ``over_s``: as long as ``patience_messages``
-        take, one each four round trips, and each heartbeat. One deviating sample makes it no longer.
+        """Time, s, for which the neighbour may be silent before it counts as gone; at least ``over_s``.
+
+        ``patience_messages`` take this time, one each four round trips, or each heartbeat interval if that is shorter.
+        The deviation of the round trip does not count.
         """
-        wait_s, least_s = self.round_trip.trips_s, PATIENCE_HEARTBEATS * self.heartbeat_s  # asked for very often
+        wait_s, least_s = self.round_trip.trips_s, PATIENCE_HEARTBEATS * self.heartbeat_s  # called very often
         if wait_s > self.heartbeat_s:
             wait_s = self.heartbeat_s
         longest_s = wait_s * PATIENCE_WAITS * math.sqrt(self.mean_count)
         return longest_s if longest_s > least_s else least_s
 
     def note_sent(self, now: float) -> None:
-        """A message is sent to it now."""
+        """Notes that a message is sent to the neighbour now."""
         if not self.awaits_reply:
             self.unanswered_since = now
         self.sent_at, self.is_owed_reply = now, False
 
     def next_time(self, wall: float) -> float:
-        """The send time of a message that is sent at ``wall``: later than that of the one before, which it replaces."""
+        """Returns the send time of a message that is sent at ``wall``: later than that of the message before it."""
         self.sent_time = max(wall, math.nextafter(self.sent_time, math.inf))
         return self.sent_time
 
     @property
     def awaits_reply(self) -> bool:
-        """Whether it has not been received since a message was sent to it."""
+        """True where the neighbour has not been received since a message was sent to it."""
         return self.unanswered_since > self.received_at
 
     def has_been_left_alone(self, now: float) -> bool:
-        """Whether it was last sent a message so long ago, two round trips at least, that what it sends is no answer."""
+        """True where the last message to the neighbour is at least two round trips old, so that a message from it is no
+        answer.
+        """
         return now >= self.sent_at + self.round_trip.longest_wait_s / 2
 
     def await_reply(self, sent: Outgoing[M], message: M, now: float) -> None:
-        """``message`` is just being sent, for the first time or after it had been acknowledged."""
+        """Schedules the first repeat of ``message``, which is just being sent: it is new, or was acknowledged before."""
         wait = self.round_trip.wait_s
         sent.message, sent.sequence, sent.repeat = message, message.header.sequence, Repeat(now + wait, wait)
 
     def wait_longer(self, repeat: Repeat, now: float, most_s: float) -> Repeat:
-        """What follows ``repeat``, which is just being carried out; ``most_s``: how long is waited at most."""
+        """Returns the repeat after ``repeat``, which is just being carried out; ``most_s``: the longest wait, s, if the
+        first wait of the link is no longer.
+        """
         wait = min(2 * repeat.wait_s, self.round_trip.longest_wait_s, max(most_s, self.round_trip.wait_s))
         return Repeat(now + wait, wait, repeat.count + 1)
 
     def take_reply(self, sent: Outgoing[Any]) -> None:
-        """The last message has been answered or acknowledged."""
+        """Notes that the last message has been answered or acknowledged."""
         if sent.repeat is not None:
-            count = min(sent.repeat.count, self.patience_messages)  # more are not lost, but left unanswered
+            count = min(sent.repeat.count, self.patience_messages)  # more than these are not lost, but left unanswered
             self.mean_count += MEAN_GAIN * (count - self.mean_count)
             sent.repeat = None
 
     def has_waited_for_trip(self, now: float) -> bool:
-        """Whether an answer to the last message could be here by now."""
+        """True where an answer to the last message could have arrived by now."""
         return math.isnan(self.round_trip.mean) or now - self.sent_at >= self.round_trip.mean
 
     def begin_term(self) -> None:
-        """Messages of rounds of a former term count no more; it is to learns of the new one."""
+        """Drops the message of a round of the old term; owes the neighbour a heartbeat that announces the new term."""
         self.exchange.message = self.exchange.repeat = None
         self.is_owed_reply = True

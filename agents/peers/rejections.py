@@ -1,4 +1,4 @@
-"""Why a well-formed message is rejected: whose it is, when it was made, and numbers that cannot be."""
+"""Rejection of well-formed messages: for their sender, their time, or numbers that cannot be."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from agents.protocol.configuration import Configuration
 from dsse_core.linear.boundary_information import BEYOND_REASON, are_within_reason
 
 LONGEST_LEAD_S = 600.0  # by which the sender's clock may be ahead of ours
-MOST_COUNTED = 2**51  # scans, revisions, offsets, which never go back: above any time in ms, half of what fits or less
+MOST_COUNTED = 2**51  # scans, revisions, offsets, which never go back: above any time in ms, at most half of what fits
 FUTURE = "time in the future"  # a reason of rejection
 FAR_SCAN = "scan far ahead of the telemetry"  # another
 OTHER_STRATEGY = "other strategy"  # another
 OTHER_BUS = "other boundary bus"  # another
 BEYOND = "numbers beyond reason"  # another
 CONTRADICTION = "contradicts the area file"  # another
-FOR_OTHERS = (StateMessage, ReadingsMessage, CommandMessage, ClockMessage)  # kinds that no neighbour says to an area
+FOR_OTHERS = (StateMessage, ReadingsMessage, CommandMessage, ClockMessage)  # kinds that no neighbour sends to an area
 
 
 class Rejections:
-    """What an area has rejected.
+    """Messages that an area has rejected.
 
-    ``ahead``: sender rejected as from the future, "" for the plant -> by how much, s. ``contradictions``: neighbour
-    whose area file, by its newest heartbeat, contradicts that of this area -> in what. ``far_scans``: neighbour
-    in whose name a scan far ahead of the telemetry has been announced -> the first such scan that is still ahead.
-    ``unreadable``: neighbour or gateway -> the scan in which a payload of its was last no message, and the field.
+    ``ahead``: sender rejected as from the future, "" for the plant -> lead of its clock, s. ``contradictions``:
+    neighbour that contradicts this area, in its area file or strategy -> contradiction. ``far_scans``: neighbour in
+    whose name a scan far ahead of the telemetry has been announced -> the first such scan that is still ahead.
+    ``unreadable``: neighbour or gateway -> the scan in which its last payload that is no message came, and the field.
     """
 
     def __init__(self) -> None:
@@ -51,7 +51,7 @@ class Rejections:
         self._not_let_in: dict[str, int] = {}
 
     def reject(self, message: Message, key_sender: str, reason: str, now: float) -> None:
-        """Count a message that is rejected for ``reason`` at ``now``, s since 1970."""
+        """Counts a message that is rejected for ``reason`` at ``now``, s since 1970."""
         self.count(reason)
         if reason == FUTURE:
             self.ahead.setdefault(key_sender, find_lead(message.header, now))
@@ -59,43 +59,43 @@ class Rejections:
             self.far_scans.setdefault(key_sender, message.header.scan)
 
     def note_scan(self, scan: int) -> None:
-        """This area works on ``scan`` now: the announcements of it were true."""
+        """Notes that this area works on ``scan`` now: announcements of scans up to this one were true."""
         self.far_scans = {name: far for name, far in self.far_scans.items() if far > scan}
 
     def note_contradiction(self, name: str, what: str) -> None:
-        """In ``what`` neighbour ``name`` contradicts this area now; empty if in nothing."""
+        """Notes the contradiction ``what`` of neighbour ``name`` with this area; empty: it contradicts no more."""
         if what:
             self.contradictions[name] = what
         else:
             self.contradictions.pop(name, None)
 
     def count(self, reason: str) -> None:
-        """One more for ``reason``."""
+        """Counts one more rejection for ``reason``."""
         self._rejected[reason] += 1
 
     def note_not_let_in(self, reason: str, count: int) -> None:
-        """So many payloads have been rejected at the door so far."""
+        """Notes that the filter before the inbox has rejected ``count`` payloads for ``reason`` so far."""
         self._not_let_in[reason] = max(count, self._not_let_in.get(reason, 0))
 
     def note_unreadable(self, sender: str, what: str, scan: int) -> None:
-        """A payload of ``sender`` was no message, for ``what`` is wrong in it, while this area works on ``scan``."""
+        """Notes that a payload of ``sender`` was no message while this area works on ``scan``; ``what``: its fault."""
         self.unreadable[sender] = scan, what
 
     def unreadable_in(self, scan: int) -> dict[str, str]:
-        """Neighbour or gateway -> what was wrong with the last payload of its that was no message, in ``scan``."""
+        """Neighbour or gateway whose last payload that is no message came in ``scan`` -> the fault of that payload."""
         return {sender: detail for sender, (at, detail) in self.unreadable.items() if at == scan}
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """By reason."""
+        """Number of rejected messages and payloads, by reason."""
         return self._rejected + Counter(self._not_let_in)
 
 
 def find_rejection(message: Message, key_sender: str, content: Configuration, now: float) -> str:
-    """Why the agent of ``content`` cannot take ``message``, in short; empty if it can.
+    """Returns the reason for which the agent of ``content`` cannot take ``message``, in short; empty if it can.
 
-    ``key_sender``: as in ``events.Received``. ``now``: s since 1970. A time in the past is no reason: order
-    is a matter of incarnation and sequence. One far in the future is, because its incarnation would stay the newest.
+    ``key_sender``: as in ``events.Received``. ``now``: s since 1970. A time in the past is no reason: order follows
+    from incarnation and sequence. A time far in the future is a reason: its incarnation would stay the newest.
     """
     header = message.header
     if header.run != content.run:
@@ -120,14 +120,17 @@ def find_rejection(message: Message, key_sender: str, content: Configuration, no
 
 
 def find_lead(header: Header, now: float) -> float:
-    """By how much, s, the clock of the sender or the start of its incarnation is ahead of ``now``, s since 1970."""
+    """Returns the lead, s, of the sender's clock or of the start of its incarnation over ``now``, s since 1970."""
     return max(header.time, header.incarnation.start_ms / 1000) - now
 
 
 def find_unreasonable(
     message: LoadMessage | BoundaryUpdate | HeartbeatMessage | UpMessage | DownMessage,
 ) -> str:
-    """That no estimate can have the numbers of ``message``; empty if one can. Strategies know more of their own."""
+    """Returns ``BEYOND`` where no estimate can have the numbers of ``message``, else "".
+
+    Strategies check further numbers in messages of their own.
+    """
     match message:
         case LoadMessage():
             possible = are_within_reason((message.p, message.q, message.sigma)) and message.sigma >= 0
@@ -154,10 +157,10 @@ def _find_telemetry_rejection(message: TelemetryMessage, content: Configuration)
 
 
 def find_reading_rejection(value: float, sigma: float) -> str:
-    """Why a reading cannot be used, in short; p.u. or rad."""
+    """Returns the reason for which a reading, p.u. or rad, cannot be used, in short; empty if it can."""
     if sigma <= 0:
         return "sigma not positive"
     weight = 1 / sigma
-    most = BEYOND_REASON  # written out, as there are thousands of readings; nan is below nothing
+    most = BEYOND_REASON  # written out, as there are thousands of readings; nan is below no limit
     within = abs(value) < most and sigma < most and weight < most and abs(value * weight) < most
     return "" if within else "reading beyond reason"

@@ -16,9 +16,9 @@ MEAN_GAIN, DEVIATION_GAIN = 1 / 8, 1 / 4  # of a new sample (RFC 6298)
 class RoundTrip:
     """The smoothed round trip of one link and its mean deviation, s; nan before the first sample.
 
-    ``wait_s``: how long an answer is waited for before the first repeat; ``longest_wait_s``: between two of many.
-    ``trips_s``: LONGEST_WAIT_TRIPS of them. ``most_s``: the most that any of these may be, whatever has been measured:
-    samples follow from what the neighbour states.
+    ``wait_s``: time from the first sending of a message to its first repeat; ``longest_wait_s``: longest time between
+    two repeats. ``trips_s``: LONGEST_WAIT_TRIPS round trips. ``most_s``: upper limit of all measured values, as samples
+    follow from what the neighbour states.
     """
 
     most_s: float = math.inf
@@ -29,7 +29,7 @@ class RoundTrip:
     trips_s: float = FIRST_WAIT_S
 
     def take(self, sample: float) -> None:
-        """Take in a measured round trip, s."""
+        """Takes in a measured round trip, s."""
         sample = min(sample, self.most_s)
         if math.isnan(self.mean):
             self.mean, self.deviation = sample, sample / 2

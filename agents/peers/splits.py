@@ -10,9 +10,12 @@ from dsse_core.split_identity import NO_SPLIT, SplitIdentity, SplitUse, add_uses
 
 
 class Splits:
-    """``own``: the split of the file of area ``name``. ``others``: neighbour, or sender of telemetry, whose split is
-    another one -> that split. Gateways know no split, and a plant without one is a gateway. ``held``: the split of the
-    file that lies ready for the next scan, NO_SPLIT without one that can be used; ``edited_next``: of one that cannot.
+    """Splits of an area, its neighbours and its telemetry.
+
+    ``own``: the split of the file of area ``name``. ``others``: neighbour, or sender of telemetry, with another split
+    -> that split. Gateways know no split, and a plant without a split is a gateway. ``held``: the split of the file
+    that lies ready for the next scan, NO_SPLIT without a usable file. ``edited_next``: the split of a file that lies
+    ready and was edited, NO_SPLIT without one.
     """
 
     def __init__(self, name: str, own: SplitIdentity) -> None:
@@ -22,7 +25,7 @@ class Splits:
         self._name = name
 
     def take(self, message: Message) -> None:
-        """Note what a message states of its sender, which is a neighbour or sends readings."""
+        """Notes the split of the sender of a message, which is a neighbour or sends readings."""
         name = message.header.sender
         match message:
             case HeartbeatMessage(split=split) if split != self.own:
@@ -33,10 +36,10 @@ class Splits:
                 self.others.pop(name, None)
 
     def add_to(self, uses: Iterable[SplitUse]) -> tuple[SplitUse, ...]:
-        """``uses``, of this area and others, with all that is known here."""
+        """Returns ``uses``, of this area and others, with all splits that this area knows of."""
         known = ((self._name, self.own), *self.others.items())
         return add_uses((*uses, *(SplitUse(split, (name,)) for name, split in known)), MOST_NAMED)
 
     def are_one(self, uses: Iterable[SplitUse] = ()) -> bool:
-        """Whether these areas, all neighbours and the telemetry are of one split, and no file of it was edited."""
+        """True where these areas, all neighbours and the telemetry are of one split, and no file of it was edited."""
         return are_of_one(self.add_to(uses))
