@@ -119,7 +119,7 @@ class PeerTable:
         """Returns ``message`` as it is sent to ``name`` now; ``is_complete``: its statement about the own side."""
         peer, is_two_way = self._peers[name], isinstance(message, HeartbeatMessage | BoundaryUpdate)
         peer.note_sent(now)
-        stated = term_of(message), is_two_way and is_complete  # a message of a round takes back that the side is complete
+        stated = term_of(message), is_two_way and is_complete  # a message of a round takes the latter back
         if (peer.sent_term, peer.sent_complete) != stated:
             (peer.sent_term, peer.sent_complete), peer.changed_at = stated, now
         link: dict[str, Any] = {"complete": is_complete} if is_two_way else {}

@@ -62,16 +62,16 @@ class Peer:
     """One neighbour. Times are of the own monotonic clock, s; -inf for never.
 
     ``present_at``: when it last reported that it receives us; before any report, the start of the own process; -inf
-    after its process has ended. ``received_at``: when it was last received. ``term``, ``k``, ``final``, ``complete``, ``y``: as its newest message states them. ``load``,
-    ``exchange``: the last load message and the last message of the strategy to it; ``received_load``, ``boundary``: the
-    newest ones from it, the latter of asynchronous strategies; ``received_sequence``: number of its newest message of
-    the strategy in this incarnation. ``clock``: skew of its send times; ``correction``: lead of its clock over its send
-    times, s.
+    after its process has ended. ``received_at``: when it was last received. ``term``, ``k``, ``final``, ``complete``,
+    ``y``: as its newest message states them. ``load``, ``exchange``: the last load message and the last message of the
+    strategy to it; ``received_load``, ``boundary``: the newest ones from it, the latter of
+    asynchronous strategies; ``received_sequence``: number of its newest message of the strategy in this incarnation.
+    ``clock``: skew of its send times; ``correction``: lead of its clock over its send times, s.
     """
 
     bus: int
     present_at: float
-    since: float  # wall-clock time at which the own process began or its clock was set forward: no earlier answer counts
+    since: float  # wall-clock time since which send times count: start of the own process, or its clock set forward
     heartbeat_s: float  # within which a message goes either way
     sent_at: float = -math.inf
     unanswered_since: float = -math.inf  # the first message to it since it was received
@@ -279,7 +279,7 @@ class Peer:
         return now >= self.sent_at + self.round_trip.longest_wait_s / 2
 
     def await_reply(self, sent: Outgoing[M], message: M, now: float) -> None:
-        """Schedules the first repeat of ``message``, which is just being sent: it is new, or was acknowledged before."""
+        """Schedules the first repeat of ``message``, which is just being sent, as new or after an acknowledgement."""
         wait = self.round_trip.wait_s
         sent.message, sent.sequence, sent.repeat = message, message.header.sequence, Repeat(now + wait, wait)
 

@@ -1,1 +1,1 @@
-"""What an area does: events and time in, actions out. No bus, no clock, no randomness."""
+"""Protocol of an area: events and time in, actions out. No bus, no clock, no randomness."""

@@ -1,8 +1,9 @@
-"""What the protocol of one area does under every strategy: events and time in, actions out.
+"""Protocol of one area, the part that all strategies share: events and time in, actions out.
 
-It takes in messages and rejects some, knows its neighbours as processes, repeats to each what it has not acknowledged,
-sends them the load of its side and where it stands, and publishes the state. What messages of a strategy mean, rounds
-(``rounds.py``) or an asynchronous strategy (``asynchronous.py``) say. No bus, no clock, no randomness.
+The protocol takes in messages and rejects some. It knows its neighbours as processes, and repeats to each the messages
+without acknowledgement. It sends them the load of its side and heartbeats, and publishes the state. The meaning of the
+messages of a strategy is in ``rounds.py`` (rounds) and ``asynchronous.py`` (asynchronous strategies). No bus, no clock,
+no randomness.
 """
 
 from __future__ import annotations
@@ -62,11 +63,11 @@ from dsse_core.exchange.boundary_load import NetLoad, load_message_for
 from dsse_core.grid.measurement import Source
 from dsse_core.split_identity import NO_SPLIT
 
-REPEAT_READINGS_S = 10.0  # of readings in use that stay the same, for recorders and watchers that come later
+REPEAT_READINGS_S = 10.0  # of unchanged readings in use, for recorders and watchers that join later
 
 
 class AreaProtocol(ABC):
-    """One area's part.
+    """Protocol of one area, as far as it is the same under every strategy.
 
     Args:
         kinds: of messages of the strategy.
@@ -82,7 +83,7 @@ class AreaProtocol(ABC):
         self._agreement = Agreement(content.area, content.strategy, kinds)
         self._incarnation = incarnation
         self._now = now
-        self._is_awake = True  # it has missed no heartbeat of its own: else messages have lain unacknowledged
+        self._is_awake = True  # false after a missed heartbeat of its own: then messages have waited to be taken in
         self._heartbeat_s = content.beat_s
         self._next_heartbeat = now + content.beat_s
         skew_limit_s = SKEW_SHARE * content.scan_s if content.scan_s else math.inf
@@ -90,13 +91,11 @@ class AreaProtocol(ABC):
         by_clock = content.readings.ticks == "clock"
         self._scan = (TickReadings if by_clock else ScanReadings)(content, now, started_at - now)
         self._shown_ages = self._scan.readings.ages  # of the readings that were last published
-        self._shown_readings: tuple[ReadingsMessage, float] | None = None  # those, and when
+        self._shown_readings: tuple[ReadingsMessage, float] | None = None  # the last message of readings, and its time
         self._n_shown = 0
         self._rejections = Rejections()
         self._splits = Splits(content.area.name, content.identity)
-        self._next: Configuration | None = (
-            None  # what the area rests on from the next scan on, once all areas hold theirs
-        )
+        self._next: Configuration | None = None  # in use from the next scan on, once all areas hold theirs
         self._quiet_until = now  # without an estimate nothing is published before
         self._end = ScanEnd(PATIENCE_HEARTBEATS * content.beat_s)
         self._published = PublishedState(
@@ -106,14 +105,15 @@ class AreaProtocol(ABC):
     # The interface
 
     def follow_on(self) -> None:
-        """The area has gone over to this configuration: what it showed last stays until there is an estimate, for a
-        while.
+        """Notes that the area has gone over to this configuration.
+
+        For a while no state without an estimate is published, so that the last state of the area stays visible.
         """
         self._quiet_until = self._now + FRESH_HEARTBEATS * self._heartbeat_s
 
     @abstractmethod
     def describe_backend(self) -> str:
-        """For the log: what computes the exchange, and how often something else had to; empty without such a choice."""
+        """Returns, for the log, the back end of the exchange, and how often another had to compute; or ""."""
 
     @property
     def scan(self) -> int:
@@ -121,7 +121,7 @@ class AreaProtocol(ABC):
         return self._scan.scan
 
     def wait_s(self, now: float) -> float:
-        """How long the protocol may be left alone, s."""
+        """Returns the time until ``handle`` must be called again, events or not, s."""
         return max(0.0, min(self._due_times()) - now)
 
     def _due_times(self) -> Iterator[float]:
@@ -137,9 +137,9 @@ class AreaProtocol(ABC):
         )
 
     def handle(self, events: Sequence[Event], now: float) -> Iterator[Action]:
-        """Take in ``events``, all that arrived since the last call, and say what to do.
+        """Takes in ``events``, all that arrived since the last call, and yields the actions.
 
-        To be carried out one by one as they come: neighbours need not wait for what only watchers see.
+        The caller carries out each action as it comes: neighbours need not wait for messages that only watchers get.
         """
         self._is_awake = now < self._next_heartbeat + self._heartbeat_s
         self._now = now
@@ -183,7 +183,7 @@ class AreaProtocol(ABC):
         yield from self._show_readings()
         yield from self._end.take(self._term)
 
-    # What a strategy says
+    # The parts of a strategy
 
     @property
     @abstractmethod
@@ -193,70 +193,73 @@ class AreaProtocol(ABC):
     @property
     @abstractmethod
     def _is_at_rest(self) -> bool:
-        """Whether heartbeats may become rare."""
+        """True where heartbeats may become rare."""
 
     @abstractmethod
     def _find_rejection(self, message: Message) -> str:
-        """Why a well-formed message of a kind of this strategy cannot be used, in short; empty if it can."""
+        """Returns the reason, in short, for which a well-formed message cannot be used; empty if it can."""
 
     @abstractmethod
     def _take_numbering(self, name: str, message: HeartbeatMessage) -> Iterator[Action]:
-        """Note how neighbour ``name`` numbers scans."""
+        """Notes how neighbour ``name`` numbers scans."""
 
     @abstractmethod
     def _take_telemetry(self, message: TelemetryMessage) -> Iterator[Action]:
-        """Take in readings of this area."""
+        """Takes in readings of this area."""
 
     @abstractmethod
     def _take_load(self) -> Iterator[Action]:
-        """A neighbour has sent a new load message."""
+        """Notes that a neighbour has sent a new load message."""
 
     @abstractmethod
     def _receive(self, name: str, message: LinkMessage) -> Iterator[Action]:
-        """Take in a message of the strategy, or a heartbeat, of the present incarnation of neighbour ``name``."""
+        """Takes in a message of the strategy, or a heartbeat, of the present incarnation of neighbour ``name``."""
 
     @abstractmethod
     def _act(self, *, is_heartbeat: bool) -> Iterator[Action]:
-        """What has become due when all events are taken in."""
+        """Yields the actions that are due after all events are taken in."""
 
     @abstractmethod
     def _describe_standing(self, name: str) -> dict[str, Any]:
-        """``revision``, ``k``, ``final`` and ``y`` of a heartbeat to ``name``."""
+        """Returns ``revision``, ``k``, ``final`` and ``y`` of a heartbeat to ``name``."""
 
     @abstractmethod
     def _is_side_complete(self, name: str) -> bool:
-        """Whether all on this side of neighbour ``name`` is of this scan, received and fresh."""
+        """True where all on this side of the boundary to neighbour ``name`` is of this scan, received and fresh."""
 
     @abstractmethod
     def _show(self, *, is_heartbeat: bool) -> Iterator[Publish]:
-        """The state, if it is to be published."""
+        """Yields the state if it is to be published."""
 
     @abstractmethod
     def _take_readings_anew(self) -> Iterator[Action]:
-        """Work with the readings of this scan that there are now, as the operator has asked."""
+        """Starts again with the readings that this scan has now, on command of the operator."""
 
     @property
     def _may_go_over(self) -> bool:
-        """Whether no neighbour lacks anything of this scan."""
+        """True where no neighbour waits for a message of this scan: always, unless a strategy overrides it."""
         return True
 
     # The next split
 
     def _take_offer(self, configuration: Configuration | None) -> None:
-        """Hold ``configuration`` for the scan from which on all areas rest on its split, if it can be used for that."""
+        """Keeps ``configuration`` for the scan from which on all areas use its split, if the split is new and sound."""
         split = configuration.identity if configuration else NO_SPLIT
         is_next = split.is_sound and split != self._splits.own
         self._next, self._splits.held = (configuration, split) if is_next else (None, NO_SPLIT)
         self._splits.edited_next = split if split.edited else NO_SPLIT
 
     def _is_from_next(self, message: Message, key_sender: str) -> bool:
-        """Whether a neighbour by the next configuration works on its split already: all areas held theirs then."""
+        """True where ``message`` is a heartbeat of a neighbour, by the next configuration, that works on its split.
+
+        All areas held their files of that split when the neighbour went over to it.
+        """
         if self._next is None or not isinstance(message, HeartbeatMessage) or message.split != self._splits.held:
             return False
         return self._may_go_over and not find_rejection(message, key_sender, self._next, self._wall)
 
     def _go_over(self) -> Iterator[Action]:
-        """Rest on the next configuration."""
+        """Goes over to the next configuration."""
         assert self._next is not None
         yield from self._end.take(self._term, is_over=True)
         yield GoOver(self._next)
@@ -264,7 +267,7 @@ class AreaProtocol(ABC):
     # What comes in
 
     def _follow(self, ordered: Ordered) -> Iterator[Action]:
-        """A command of the operator."""
+        """Follows a command of the operator."""
         self._published.ordered = ordered
         if self._scan.follow(ordered):
             yield from self._take_readings_anew()
@@ -307,16 +310,16 @@ class AreaProtocol(ABC):
                 yield from self._receive(key_sender, message)
 
     def _note_clock(self, message: Message, name: str) -> None:
-        """What a message of a neighbour that is rejected for its clock says of that."""
+        """Notes the clock of a neighbour by a message that is rejected for its time or its scan."""
         if isinstance(message, LinkMessage) and message.header.sender == name and name in set(self._peers):
             self._peers[name].take_times(message, self._now, self._wall)
             self._peers.note_skew(name)
 
     def _note(self, name: str, message: LinkMessage) -> bool:
-        """What a message says of its sender and of the link; whether the sender has begun anew."""
+        """Notes what a message states of its sender and of the link; returns whether the sender has restarted."""
         peer = self._peers[name]
         is_restart = peer.incarnation not in (None, message.header.incarnation)
-        peer.is_owed_reply |= is_restart or not self._peers.receives(name, self._now)  # that it is received
+        peer.is_owed_reply |= is_restart or not self._peers.receives(name, self._now)  # to tell that it is received
         peer.take(message, self._now, self._wall, is_awake=self._is_awake)
         self._peers.note_skew(name)
         is_asking = self._is_at_rest and peer.has_been_left_alone(self._now)  # it repeats until it receives us
@@ -339,17 +342,17 @@ class AreaProtocol(ABC):
 
     @property
     def _wall(self) -> float:
-        """Now, as own messages state it: the host's clock, s since 1970, that never goes back."""
+        """Now, as own messages state it, s since 1970: the host's clock, but never set back."""
         return self._now + self._peers.clock_offset
 
     def _publish(self, name: str, message: LoadMessage | LinkMessage) -> Publish:
-        """``message`` to neighbour ``name``, with what holds of the link now."""
+        """Returns the sending of ``message`` to neighbour ``name``, with the present state of the link filled in."""
         if isinstance(message, LoadMessage):
             return Publish(message, name)
         return Publish(self._peers.stamp(name, message, self._now, is_complete=self._is_side_complete(name)), name)
 
     def _send(self, name: str, sent: Outgoing[M], message: M) -> Publish:
-        """A new message, which is repeated until it is acknowledged."""
+        """Returns the sending of a new message, which is repeated until it is acknowledged."""
         peer = self._peers[name]
         peer.await_reply(sent, message, self._now)
         return self._publish(name, message)
@@ -357,7 +360,7 @@ class AreaProtocol(ABC):
     def _send_if_lacking(
         self, name: str, sent: Outgoing[Any], received: int, *, even_if_repeated: bool = False
     ) -> Iterator[Publish]:
-        """The last message once more to a neighbour that reports that it lacks it, as it was away or has restarted."""
+        """Yields the last message once more to a neighbour that reports its loss after an absence or a restart."""
         if sent.message is None or received == sent.sequence or (sent.repeat is not None and not even_if_repeated):
             return
         if sent.repeat is None:
@@ -367,7 +370,7 @@ class AreaProtocol(ABC):
     def _heartbeat(self, name: str) -> Publish:
         standing, peer = self._describe_standing(name), self._peers[name]
         plant, offset = self._scan.numbering
-        # what holds of the link is filled in as it is sent
+        # the state of the link is filled in as the message is sent
         link: dict[str, Any] = {"receives": False, "answers": 0.0, "received": (0, 0), "complete": False}
         standing |= link | describe_boundary(self._area, name)
         return self._publish(
@@ -385,8 +388,9 @@ class AreaProtocol(ABC):
         )
 
     def _reply_due(self, *, is_heartbeat: bool) -> Iterator[Publish]:
-        """A heartbeat to who is owed one, or was sent nothing for a while; to who gets one a heartbeat, with the
-        state, so that the process wakes once for all of them.
+        """Yields a heartbeat to each neighbour that is owed one, or that was sent nothing for a while.
+
+        Neighbours with one heartbeat per interval get it together with the state, so the process wakes once for all.
         """
         for name, peer in self._peers.items():
             is_changed = peer.sent_complete != self._is_side_complete(name)
@@ -398,15 +402,15 @@ class AreaProtocol(ABC):
 
     @property
     def _may_show_readings(self) -> bool:
-        """Whether nobody waits for anything else of this scan."""
+        """True where no neighbour waits for another message of this scan."""
         return self._is_at_rest
 
     def _describe_readings(self) -> Mapping[str, tuple[float, float]]:
-        """Meter -> what it would read in the state of this scan, and its normalised residual; empty if not known."""
+        """Meter -> its reading in the state of this scan, p.u. or rad, and its normalised residual; {} if unknown."""
         return {}
 
     def _show_readings(self) -> Iterator[Publish]:
-        """The readings of the scan, for recorders: once, and again after a while for those who were not there."""
+        """Yields the readings of the scan, for recorders: once, and every ``REPEAT_READINGS_S`` for late ones."""
         readings = self._scan.readings
         if not self._may_show_readings:
             return
@@ -440,7 +444,7 @@ class AreaProtocol(ABC):
         return {name: peer.received_load.load for name, peer in sorted(self._peers.items()) if peer.received_load}
 
     def _send_loads(self) -> Iterator[Publish]:
-        """To each neighbour the net load of this side, once all the others have sent theirs."""
+        """Yields to each neighbour the net load of this side, once all other neighbours have sent theirs."""
         received = self._received_loads()
         missing = set(self._peers) - received.keys()
         for n in self._area.neighbours:

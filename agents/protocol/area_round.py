@@ -1,7 +1,8 @@
-"""The numbers of one area in a term of rounds: what it has received in round k, what it passes on, what it carries out.
+"""The numbers of one area in a term of rounds: received in round k, passed on, and used for the step.
 
-Towards the hub goes what the area's side knows at x_k; back comes what everybody else knows, with the totals of all
-areas. Every area finds the verdict on these totals for itself. No process, link or clock is known here.
+Up(k) carries the information of the area's side at x_k towards the hub. Down(k) brings back the information of all
+other areas, with the totals of all areas. Every area finds the verdict on these totals for itself. This module knows no
+process, link or clock.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ Known = dict[str, BoundaryInformation]
 
 @dataclass(frozen=True)
 class Decider:
-    """Who has added up all totals: ``name`` in its ``incarnation``."""
+    """The area that has added up all totals: ``name`` in its ``incarnation``."""
 
     name: str
     incarnation: tuple[int, int]
@@ -45,7 +46,7 @@ class Decider:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a term ended. Two of one term and decider are equal."""
+    """End of a term. All outcomes of one term and decider are equal."""
 
     verdict: Verdict
     totals: Totals
@@ -54,7 +55,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Content:
-    """What a message of a round says, see ``RoundMessage``; None for what it leaves out."""
+    """Content of a message of a round, see ``RoundMessage``; None where the message leaves it empty."""
 
     information: BoundaryInformation | None
     no_load: BoundaryInformation | None
@@ -63,9 +64,10 @@ class Content:
 
 
 class AreaRound:
-    """``k``: the round. ``outcome``: how the term has ended, None before. ``links``: the neighbours in use.
+    """One area in the rounds of a term.
 
-    ``splits``: on which this area, its neighbours and its telemetry work.
+    ``k``: the round. ``outcome``: end of the term, None before. ``links``: the neighbours in use. ``splits``: of this
+    area, its neighbours and its telemetry.
     """
 
     def __init__(self, area: Area, splits: Splits) -> None:
@@ -75,7 +77,7 @@ class AreaRound:
         self.outcome: Outcome | None = None
         self._area = area
         self._splits = splits
-        self._newest: SplitIdentity | None = None  # of all areas, as the last totals of all stated it
+        self._newest: SplitIdentity | None = None  # split of all areas, by the last totals of all
         self._memory = Memory()
         self._ups: dict[str, UpMessage] = {}
         self._sent = Totals()  # in Up(k)
@@ -85,7 +87,7 @@ class AreaRound:
 
     @property
     def towards_hub(self) -> str | None:
-        """The neighbour in use on the way to the hub; None for who decides."""
+        """The neighbour in use on the way to the hub; None in the area that decides."""
         return self._area.towards_hub if self._area.towards_hub in self.links else None
 
     @property
@@ -100,22 +102,22 @@ class AreaRound:
 
     @property
     def undecided(self) -> tuple[tuple[str, ...], ...]:
-        """Each removed meter that the readings do not tell from others, with these."""
+        """Each removed meter that the readings do not distinguish from others, with these others."""
         return tuple((meter, *others) for meter, others in zip(self.removed, self._memory.tied, strict=True) if others)
 
     @property
     def kept(self) -> str:
-        """The meter without which no estimate was found, so that it has not been taken out; empty if there is none."""
+        """The meter that stays in use because no estimate was found without it; empty if there is none."""
         return self._memory.kept
 
     def enter(self, links: frozenset[str]) -> None:
-        """A new term with the neighbours ``links``; round 0 waits for ``begin``."""
+        """Enters a new term with the neighbours ``links``; round 0 waits for ``begin``."""
         self.links, self.outcome, self._has_begun = links, None, False
         self._memory = Memory()
         self._go_to(0)
 
     def begin(self, readings: Sequence[Measurement], *, stale: bool, loads: Mapping[str, NetLoad]) -> None:
-        """The readings of the term are there; ``loads``: what neighbours have sent of theirs."""
+        """Begins round 0 with the readings of the term; ``loads``: neighbour -> net load of its load message."""
         silent = {n.area for n in self._area.neighbours} - self.links
         self._has_begun = True
         try:
@@ -129,7 +131,7 @@ class AreaRound:
     # Towards the hub
 
     def prepare(self) -> None:
-        """Use the time until the messages of this round are here."""
+        """Computes ahead while the messages of this round are under way."""
         if self._has_begun and self.outcome is None:
             try:
                 self.estimation.prepare()
@@ -137,12 +139,12 @@ class AreaRound:
                 self.estimation.fail(error)
 
     def find_false_count(self, message: UpMessage) -> str:
-        """Whether Up(k) counts as many areas as one side can have."""
+        """Returns the false count of areas in Up(k), in words; empty if one side can have as many areas."""
         areas = message.totals.areas
         return "" if 0 < areas < self._area.n_areas else f"it counts {areas} areas on its side, of {self._area.n_areas}"
 
     def take_up(self, name: str, message: UpMessage) -> bool:
-        """Keep Up(k) of a neighbour; whether it is the first."""
+        """Keeps Up(k) of a neighbour; returns whether it is the first of this round."""
         if self.outcome is not None or name in self._ups:
             return False
         self._ups[name] = message
@@ -150,13 +152,13 @@ class AreaRound:
 
     @property
     def may_go_on(self) -> bool:
-        """Whether Up(k) may be sent, or decided on."""
+        """True where Up(k) may be sent, or, without a neighbour towards the hub, the totals decided on."""
         if self.outcome is not None or self._is_passed_on or not self._has_begun:
             return False
         return all(name in self._ups for name in self.lower)
 
     def add_up(self) -> Totals:
-        """The totals of this side at x_k, which are now passed on, or decided on."""
+        """Returns the totals of this side at x_k, which the area now passes on or decides on."""
         self._is_passed_on = True
         for name, up in self._ups.items():
             if up.power:
@@ -166,20 +168,22 @@ class AreaRound:
         return add_totals([own, *(self._read(self._ups[name].totals) for name in self.lower)])
 
     def _find_uses(self) -> tuple[SplitUse, ...]:
-        """The splits that this area knows of. An area whose file is not the newest states its name, once it knows."""
+        """The splits that this area knows of. An area names itself once it knows that its file is not of the newest."""
         own, others = self._splits.own, self._splits.others
         is_other = not own.is_sound or self._newest not in (None, own)
         named = (SplitUse(split, (name,)) for name, split in others.items())
         return (SplitUse(own, (self._area.name,) if is_other else ()), *named)
 
     def _read(self, totals: Totals) -> Totals:
-        """Nobody else can name a meter of this area, nor one that is out already."""
+        """Returns the totals of a neighbour without meters of this area, which no other area can name, and without
+        removed meters.
+        """
         unknown = self.estimation.own_meters | set(self.removed)
         worst, tied = (tuple(n for n in named if n[0] not in unknown) for named in (totals.worst, totals.tied))
         return replace(totals, worst=worst, tied=tied)
 
     def find_up(self, totals: Totals) -> Content:
-        """What Up(k) says."""
+        """Returns the content of Up(k)."""
         assert self.towards_hub is not None  # else it is decided
         name, information, no_load = self.towards_hub, None, None
         if not (totals.failed or self._memory.evaluating or is_lost(totals)):
@@ -198,7 +202,7 @@ class AreaRound:
         return {name: no_load_of(up) for name, up in self._ups.items() if up.no_load}
 
     def _find_information(self, name: str, known: Known) -> BoundaryInformation | None:
-        """For ``name``; None without numbers."""
+        """Returns the information for ``name``; None without numbers."""
         if self.estimation.failure:
             return None
         try:
@@ -214,24 +218,26 @@ class AreaRound:
     # From the hub
 
     def decide(self, totals: Totals) -> Verdict:
-        """The verdict on the totals of all areas."""
+        """Returns the verdict on the totals of all areas, and keeps the memory that it leaves."""
         self._memory, verdict = self._decide(totals)
         return verdict
 
     def _decide(self, totals: Totals) -> tuple[Memory, Verdict]:
-        """See ``decide``: of totals that are checked, then followed, found once."""
+        """See ``decide``. The verdict on totals that are first checked and then followed is computed once."""
         if self._decided is None or self._decided[0] is not self._memory or self._decided[1] is not totals:
             memory, verdict = decide(self._memory, totals)
             self._decided = self._memory, totals, (memory, name_next(verdict, totals))
         return self._decided[2]
 
     def is_waited_for(self) -> bool:
-        """Whether Down(k) may come."""
+        """True where Down(k) may come: Up(k) has been passed on, and the term has not ended."""
         return self._is_passed_on and self.outcome is None
 
     def find_lie(self, message: DownMessage) -> str:
-        """What is wrong with Down(k): its totals leave out what was sent in Up(k), its verdict does not follow, or it
-        takes out a meter that does not stand out here.
+        """Returns the fault of Down(k), in words; empty without one.
+
+        A fault is: the totals leave out what was sent in Up(k); the verdict does not follow from the totals; a meter of
+        this area is taken out that does not stand out here.
         """
         if omission := find_omission(message.totals, self._sent):
             return omission
@@ -244,15 +250,20 @@ class AreaRound:
         return ""
 
     def find_other_end(self, k: int, is_final: bool) -> str:
-        """What is wrong with a neighbour in round ``k`` of this term: one end follows from all verdicts of a term."""
+        """Returns the fault of a neighbour that is at the end of this term before round ``k``, in words; else empty.
+
+        All areas of a term find the same verdicts, so the end is the same for all.
+        """
         if not is_final or self.outcome is not None or k > self.k:
-            return ""  # not at its end, or at one that we have yet to learn of
+            return ""  # the neighbour is not at its end, or this area may yet come to the same end
         return f"it is at the end after round {k - 1}, which for us was not the last"
 
     def descend(
         self, verdict: Verdict, totals: Totals, decider: Decider, down: DownMessage | None
     ) -> Iterator[tuple[str, Content]]:
-        """Carry ``verdict`` out, as ``down`` brings it; what each lower neighbour is to receive, as it is known."""
+        """Carries out ``verdict``, which ``down`` brings if given; yields the content of Down(k) for each lower
+        neighbour as soon as it is known.
+        """
         self._newest = find_newest(totals.splits)
         known, no_load = self._below(), self._no_load_below()
         if down is not None and self.towards_hub:
@@ -282,11 +293,11 @@ class AreaRound:
 
 
 def information_of(message: RoundMessage) -> BoundaryInformation:
-    """R as a matrix, and z."""
+    """Returns the information of a message: R as a matrix, (d, d), and z, (d,)."""
     return BoundaryInformation(read_triangle(message.R), np.array(message.z))
 
 
 def no_load_of(message: RoundMessage) -> BoundaryInformation:
-    """The no-load information, which has no z."""
+    """Returns the no-load information of a message, (d, d); it has no z, so z is zero."""
     R = read_triangle(message.no_load)
     return BoundaryInformation(R, np.zeros(len(R)))

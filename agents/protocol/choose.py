@@ -1,4 +1,4 @@
-"""Which protocol a strategy runs on, and which messages its areas send each other."""
+"""Choice of the protocol that a strategy runs on, and of the messages that its areas send each other."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dsse_core.errors import InvalidInputError
 
 
 def make_protocol(content: Configuration, incarnation: Incarnation, *, now: float, started_at: float) -> AreaProtocol:
-    """The protocol of the strategy that the area file names; see ``AreaProtocol`` for the arguments.
+    """Returns the protocol of the strategy that the area file names; see ``AreaProtocol`` for the arguments.
 
     Raises:
         InvalidInputError: the strategy is not installed, or cannot be used, or not between these areas.
@@ -29,9 +29,9 @@ def make_protocol(content: Configuration, incarnation: Incarnation, *, now: floa
 
 
 def kinds_of(strategy: str) -> tuple[str, ...]:
-    """The kinds of messages that neighbours send each other under ``strategy``.
+    """Returns the kinds of messages that neighbours send each other under ``strategy``.
 
     Raises:
-        InvalidInputError: as ``make_protocol``.
+        InvalidInputError: the strategy is not installed, or cannot be used.
     """
     return LoadMessage.kind, HeartbeatMessage.kind, *load_strategy(strategy).kinds()

@@ -1,8 +1,8 @@
-"""Configuration of an area: the value on which its terms rest. Reading and writing files of it is around the protocol.
+"""Configuration of an area: the value on which its terms rest. Other packages read and write its files.
 
-Hub, neighbours, models, meters and the flat start follow from it. It changes only between two scans, together with
-those of all other areas (``rounds.py``). ``table_of`` has its plain values key by key: what a file holds, and what its
-digest covers.
+Hub, neighbours, models, meters and the flat start follow from it. A configuration changes only between two scans,
+together with those of all other areas (``rounds.py``). ``table_of`` returns its plain values key by key: a file holds
+these values, and its digest covers them.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from dsse_core.split_identity import NO_SPLIT, SplitIdentity
 
 @dataclass(frozen=True, slots=True)
 class SplitStamp:
-    """What a split writes into each of its files. Two splits of one content are equal, whenever they were made.
+    """Stamp that a split writes into each of its files. Stamps of one content are equal, whenever they were made.
 
     ``digest``: of the split, 16 hex digits. ``content``: of this file. ``time``: of the split, s since 1970 UTC.
     """
@@ -58,14 +58,14 @@ class Configuration:
         generation: load messages count the "telemetered" injection of substation and generators, or the
             "scheduled" one.
         load_error: added to the load at each boundary bus (eqs. 5.4, 5.5), p.u.
-        links: neighbour -> what goes wrong on the link to it; a neighbour that is not there has a sound link.
-        seed: of what goes wrong.
+        links: neighbour -> injected faults of the link to it; the link to any other neighbour is sound.
+        seed: of the injected faults.
         penalty: of strategy ``admm``.
-        limits: what an estimate must keep to be relied on.
-        readings: who numbers scans, who sends for the meters, and how old their readings may be.
-        clock_error_s: injected fault: by how much the clock of the area is ahead, s.
-        split: of which split the configuration is (``configuration_digest.py``); None in files of versions that knew
-            no splits.
+        limits: of a reliable estimate.
+        readings: the gateway or clock that numbers scans, the gateways of the meters, and the ages of readings.
+        clock_error_s: injected fault: lead of the area's clock, s.
+        split: stamp of the split of the configuration (``configuration_digest.py``); None in files of versions
+            without splits.
     """
 
     run: str
@@ -89,7 +89,7 @@ class Configuration:
 
     @functools.cached_property
     def identity(self) -> SplitIdentity:
-        """The split that this is of, and whether it was edited since."""
+        """The split of this configuration; with the digest of its present content if it was edited since."""
         if self.split is None:
             return NO_SPLIT
         found = digest_configuration(table_of(self))
@@ -97,7 +97,7 @@ class Configuration:
 
 
 def columns_of(cls: Any, items: Sequence[Any]) -> dict[str, Any]:
-    """Dataclasses as one table with a list for each key; a key of defaults only is left out."""
+    """Returns dataclasses as one table with a list for each key, without keys that have only defaults."""
     of_meters = list_columns(items) if cls is Meter else {}
     columns = ((key, of_meters.get(key) or _column_of(key, items), default) for key, default in keys_of(cls))
     return {
@@ -117,7 +117,9 @@ def _column_of(key: str, items: Sequence[Any]) -> Sequence[Any]:
 
 
 def table_of(content: Configuration, all_of: Callable[[Any, Sequence[Any]], Any] = columns_of) -> dict[str, Any]:
-    """The keys of ``content``; ``all_of``: how those of many buses, branches, generators or meters are put."""
+    """Returns the keys of ``content`` with their values; ``all_of``: makes the table of buses, branches, generators or
+    meters.
+    """
     area, network = content.area, content.area.network
     slack = {"bus": area.slack_bus} | ({} if area.slack_vm is None else {"vm": area.slack_vm})
     return {
@@ -171,13 +173,13 @@ def rows_of(_: Any, items: Sequence[Any]) -> list[dict[str, Any]]:
 
 
 def _row_of(item: Any) -> dict[str, Any]:
-    """A dataclass as a table: values that equal their default are left out, and so is None."""
+    """Returns a dataclass as a table, without values that equal their default."""
     values = ((key, getattr(item, key), default) for key, default in _known_keys_of(item.__class__))
     return {key: value for key, value, default in values if default is dataclasses.MISSING or value != default}
 
 
 def keys_of(cls: Any) -> list[tuple[str, Any]]:
-    """Name and default of every field that a dataclass is made of."""
+    """Returns name and default of every field that a dataclass is made of."""
     return [(f.name, f.default) for f in dataclasses.fields(cls) if f.init]
 
 

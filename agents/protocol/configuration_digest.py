@@ -1,11 +1,11 @@
-"""Digests of configurations, by which one that was edited since its split, or that is of another split, is known.
+"""Digests of configurations. They reveal a configuration that was edited since its split, or is of another split.
 
-The digest of one covers all keys on which the areas' joint estimate rests: the area's network in p.u., its meters,
-its neighbours and boundary buses, the way to the hub, the reference, the strategy with its settings, the rules of
-readings and the limits of quality. ``LEFT_OUT`` lists the other keys, which concern the process, injected faults, or
-names. Keys enter in alphabetical order and numbers as their 8 bytes, so that the digest is the same on any machine and
-in any format of the file. The digest of a split covers those of all its files, and the rule of the meters' standard
-deviations.
+The digest of a configuration covers all keys on which the areas' joint estimate rests: the area's network in p.u., its
+meters, its neighbours and boundary buses, the way to the hub, the reference, the strategy with its settings, the rules
+of readings and the limits of quality. ``LEFT_OUT`` lists the other keys, which concern the process, injected faults,
+the start of the iteration, or names. Keys enter in alphabetical order and numbers as their 8 bytes, so that the digest
+is the same on any machine and in any format of the file. The digest of a split covers those of all its files, and the
+rule of the meters' standard deviations.
 """
 
 from __future__ import annotations
@@ -30,13 +30,14 @@ LEFT_OUT = frozenset(
 
 
 def digest_configuration(values: Mapping[str, Any]) -> str:
-    """The digest of all on which the estimate rests in ``values`` of a configuration by key, 16 hex digits."""
+    """Returns the digest of a configuration, 16 hex digits; ``values``: key -> value, see ``LEFT_OUT``."""
     return _digest(_list_places("", dict(values)))
 
 
 def digest_split(contents: Mapping[str, str], sigmas: Mapping[str, Any]) -> str:
-    """The digest of a split; ``contents``: area -> digest of its configuration. ``sigmas``: the rule of the meters'
-    standard deviations.
+    """Returns the digest of a split, 16 hex digits.
+
+    ``contents``: area -> digest of its configuration. ``sigmas``: the rule of the meters' standard deviations.
     """
     return _digest([*_list_places("sigmas", dict(sigmas)), *_list_places("files", dict(contents))])
 
@@ -50,7 +51,7 @@ def _digest(places: Iterator[bytes] | Sequence[bytes]) -> str:
 
 
 def _list_places(key: str, value: Any) -> Iterator[bytes]:
-    """The bytes that stand for ``value`` at ``key`` of a file; nothing for a key that is left out."""
+    """Yields the bytes that stand for ``value`` at ``key`` of a file; nothing for a key of ``LEFT_OUT``."""
     if key in LEFT_OUT:
         return
     match value.item() if isinstance(value, np.generic) else value:
@@ -75,7 +76,7 @@ def _list_items(key: str, items: Sequence[Any]) -> Iterator[bytes]:
 
 
 def _pack(value: Any) -> bytes:
-    """One value with its type: a whole number is the same as that number, as files do not tell them apart."""
+    """Returns the bytes of a value with its type. A whole number and the same float are equal, as they are in files."""
     match value:
         case None:
             return b"-"

@@ -1,4 +1,4 @@
-"""What happens to one area's protocol, and what it then wants done."""
+"""Events that one area's protocol takes in, and actions that it returns."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Received:
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """Payloads that were not let in for ``reason``; ``count``: how many so far.
+    """Payloads that the filter before the inbox rejected for ``reason``; ``count``: number of them so far.
 
-    ``sender``: the neighbour or gateway on whose key the last one came, ``at_field``: what is wrong in which of its
-    fields; both empty where no field is known.
+    ``sender``: the neighbour or gateway on whose key the last one came, ``at_field``: the field that is wrong, and its
+    fault; both empty where no field is known.
     """
 
     reason: str
@@ -48,10 +48,10 @@ class ClockSet:
 
 @dataclass(frozen=True, slots=True)
 class Ordered:
-    """A command of the operator that is to be followed, and was recorded.
+    """A recorded command of the operator, which the area follows.
 
     ``order``: start in ms, random number and sequence number; ``meters_off``: all meters of the area that are off.
-    ``scan``: the newest readings are to be taken at once.
+    ``scan``: the area takes the newest readings at once.
     """
 
     order: tuple[int, int, int]
@@ -61,7 +61,7 @@ class Ordered:
 
 @dataclass(frozen=True, slots=True)
 class Offered:
-    """The configuration of the next split lies ready beside the one in use; None: it does no more."""
+    """The configuration of the next split lies ready beside the one in use; None: no longer."""
 
     configuration: Configuration | None
 
@@ -89,9 +89,9 @@ class Finish:
 
 @dataclass(frozen=True, slots=True)
 class GoOver:
-    """The area rests on ``configuration`` from now on: a protocol made from it goes on, as a new incarnation.
+    """The area works on ``configuration`` from now on: a protocol made from it goes on, as a new incarnation.
 
-    What this one would say beyond that is not said.
+    Later actions of the former protocol are not carried out.
     """
 
     configuration: Configuration
@@ -99,9 +99,9 @@ class GoOver:
 
 @dataclass(frozen=True, slots=True)
 class Conclude:
-    """Log what holds at the end of ``scan``, or has held for long: ``text``, if it is new.
+    """Log ``text``, if it is new: the findings at the end of ``scan``, or findings that have held for long.
 
-    ``facts``: what the text states, each with whom it concerns, a meter or an area; without figures.
+    ``facts``: statements of the text without figures, each with the meter or area that it concerns, empty without one.
     """
 
     scan: int
