@@ -33,7 +33,7 @@ from dsse_core.errors import DsseError
 from dsse_core.limits import LONGEST_S
 
 TIMEOUT_S = 10.0  # of the wait for the bus
-SWITCH_S = 1e-4  # after which computing lets a thread of the bus in that has messages; Python's own 5 ms is many steps
+SWITCH_S = 1e-4  # after which computing yields to a thread of the bus with messages; Python's own 5 ms is many steps
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -75,9 +75,9 @@ def run_process(
     *,
     may_be_older: bool = False,
 ) -> int:
-    """Run ``run_area`` as all that this process does, with a log; the exit code, see ``main``.
+    """Run ``run_area`` as the only work of this process, with a log; returns the exit code, see ``main``.
 
-    Where hundreds are forked, none of them needs a parser of its own: 2 ms and 1.5 MiB each.
+    A forked process calls this without a parser of its own, which takes 2 ms and 1.5 MiB.
     """
     start_log()
     watchdog = Watchdog()
@@ -92,7 +92,7 @@ def run_process(
 
 
 class _LogOfCompiling:
-    """Logs once what takes so long."""
+    """Logs once that solvers are compiled, which delays the start, and where their code is kept."""
 
     logged = False
 
@@ -124,12 +124,13 @@ def run_area(
 ) -> str:
     """Run the agent of area file ``path``; ``endpoints``, if any, replace the file's; ``keys``: folder of credentials.
 
-    ``may_be_older``: it takes the place of a running agent with a newer file. Returns why it has ended.
+    ``may_be_older``: the agent takes the place of a running one even if that has a newer file. Returns the reason of
+    the end.
 
     Raises:
         InvalidInputError: the area file, the operator file or the credentials cannot be used.
         TransportError: no endpoint answers within ``timeout_s``.
-        ReplacedError: another agent of the area runs that began later, or has a newer file.
+        ReplacedError: another agent of the area runs, which began later or has a newer file.
     """
     check_endpoints("--connect", endpoints)
     of_file = load_area_file(path, list_strategies())

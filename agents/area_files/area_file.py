@@ -17,9 +17,9 @@ AreaFile = Configuration
 
 
 def save_area_file(path: Path, content: Configuration) -> None:
-    """Write ``content`` to ``path`` as TOML or, if its name ends so, as JSON, which is written and read much faster.
+    """Write ``content`` to ``path`` as TOML, or as JSON where the name ends so; JSON is written and read much faster.
 
-    Of buses, branches, generators and meters TOML has a table each, JSON the same keys with a list of all values each.
+    TOML has a table for each bus, branch, generator and meter; JSON has the same keys, each with a list of all values.
     """
     is_json = path.suffix == ".json"
     table = {"format": FORMAT, **(table_of(content) if is_json else table_of(content, rows_of))}

@@ -1,4 +1,4 @@
-"""Reads and checks an area file, TOML or JSON. Agents need it; who writes the files does not."""
+"""Reader of area files, TOML or JSON, with all checks. Agents need it; writing the files does not."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ T = TypeVar("T")
 
 
 def load_area_file(path: Path, strategies: Collection[str] | None = None) -> Configuration:
-    """Read and check an area file; ``strategies``: those that there are, if the file is to name one of them.
+    """Read and check an area file; ``strategies``: names of which the file must give one, None for any name.
 
     Raises:
         InvalidInputError: naming the file and every unknown, missing or impossible key.
@@ -93,7 +93,7 @@ def _network_of(t: Any) -> Network:
     """The area's network.
 
     Raises:
-        InvalidInputError: what does not fit together in it, or every number that no grid has.
+        InvalidInputError: its parts contradict each other, or numbers that no grid has, all of them.
     """
     network = Network(
         name=t.area,
@@ -118,7 +118,7 @@ def _items_of(cls: type[T], table: Any) -> tuple[T, ...]:
 
 
 def _find_problems(t: Any) -> Iterator[str]:
-    """What does not fit the network, and where nobody could be met."""
+    """Problems of keys that contradict the network or each other, of telemetry, and of endpoints, missing ones too."""
     buses = set(_values_of(t.network.bus, "id"))
     names = [n.area for n in t.neighbour]
     for i, n in enumerate(t.neighbour):
@@ -159,7 +159,7 @@ def _find_problems(t: Any) -> Iterator[str]:
 
 
 def _find_wrong_variables(t: Any, neighbour: Any, buses: Collection[int]) -> str:
-    """What is wrong with the variables that the area and ``neighbour`` share; empty if nothing is."""
+    """Problem of the variables that the area and ``neighbour`` share; empty if there is none."""
     if wrong := find_wrong_name(neighbour.variables):
         return f"has {wrong}; write them as the split has"
     boundary = boundary_of(neighbour.variables)

@@ -1,4 +1,4 @@
-"""The keys of an area file, as strict tables. Of JSON, buses, branches, generators and meters are lists of values."""
+"""The keys of an area file, as strict tables. In JSON, buses, branches, generators and meters are lists of values."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ class AreaTable(FileTable):
 
 @functools.cache
 def area_table(*, of_columns: bool) -> Any:
-    """The schema of a whole area file; ``of_columns``: what is many in it has a list for each key, not a table each."""
+    """The schema of a whole area file; ``of_columns``: of buses, branches, generators, meters a list for each key."""
     all_of = _columns_of if of_columns else _rows_of
     faults = _table_of(
         LinkFaults,
@@ -183,7 +183,7 @@ def area_table(*, of_columns: bool) -> Any:
 
 
 def _table_of(cls: type[Any], **types: Any) -> Any:
-    """A table whose keys are the fields of dataclass ``cls``, of other ``types`` where they are given."""
+    """A table whose keys are the fields of dataclass ``cls``; ``types`` replace the types of the fields they name."""
     hints = _types_of(cls) | types
     keys: Any = {key: (hints[key], ... if default is dataclasses.MISSING else default) for key, default in keys_of(cls)}
     return create_model(cls.__name__, __base__=Table, **keys)
@@ -203,7 +203,7 @@ def _columns_of(cls: type[Any]) -> Any:
 
 
 def _types_of(cls: type[Any]) -> Any:
-    """Field -> its type, in files: of an enumeration the words, which strict tables would not take for it."""
+    """Field -> its type in files. An enumeration is not strict, so that files may give its words."""
     hints: dict[str, Any] = typing.get_type_hints(cls)
     if cls is Branch:
         hints["id"] = BranchId

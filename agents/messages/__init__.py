@@ -1,1 +1,1 @@
-"""What crosses the bus: messages, their keys, how they are packed and checked."""
+"""Messages on the bus: their types and keys, their packing and their checks."""

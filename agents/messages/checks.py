@@ -1,4 +1,4 @@
-"""What may stand at one place of a message, as types that msgspec checks, and what is wrong as a rejection."""
+"""Types of the values in a message, which msgspec checks, and the error of a payload that is rejected."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ Notes = Annotated[tuple[Note, ...], Meta(max_length=MOST_NOTES)]
 class MessageError(ValueError):
     """A payload that is not a message of this version; ``reason`` is the short word under which it is counted.
 
-    ``at_field``: the field that is none of this version, and what is wrong there; empty of other reasons.
+    ``at_field``: the field that does not fit this version, and what is wrong there; empty for other reasons than
+    "malformed" and "not finite".
     """
 
     def __init__(self, reason: str, detail: str) -> None:
@@ -43,7 +44,7 @@ class MessageError(ValueError):
 
 
 def should_log(count: int) -> bool:
-    """Of rejections the 1st, 10th, 100th, ...: a flood must not fill the disk."""
+    """True for the 1st, 10th, 100th, ... rejection: a flood of them must not fill the disk."""
     return str(count).strip("0") == "1"
 
 

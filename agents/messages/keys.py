@@ -43,7 +43,7 @@ def neighbour_key(run: str, sender: str, kind: str, receiver: str) -> str:
 
 
 def all_from_neighbours(run: str, receiver: str) -> str:
-    """What neighbours say to ``receiver``: messages of every kind."""
+    """Key expression of the messages of all neighbours to ``receiver``, of every kind."""
     return f"{_root(run)}/area/*/*/{receiver}"
 
 
@@ -68,12 +68,12 @@ def telemetry_key(run: str, area: str, gateway: str = "plant") -> str:
 
 
 def all_telemetry(run: str, area: str) -> str:
-    """What all gateways say to ``area``."""
+    """Key expression of the telemetry for ``area``, from the plant and all gateways."""
     return telemetry_key(run, area, "*")
 
 
 def gateway_key(run: str, gateway: str) -> str:
-    """Where a gateway announces itself: its token is asked for by its name, which a watcher learns here."""
+    """Key on which a gateway announces itself. A watcher learns its name here, and asks for its token by that name."""
     return f"{_root(run)}/gateway/{gateway}"
 
 
@@ -112,7 +112,7 @@ def all_live(run: str) -> str:
 
 
 def of_any_version(expression: str) -> str:
-    """The keys of ``expression``, which are of this wire version, in every version: others can only be named."""
+    """``expression``, which is of this wire version, in every version; of other versions only names can be found."""
     return f"dsse/*/{expression.removeprefix(f'dsse/v{WIRE_VERSION}/')}"
 
 
@@ -123,7 +123,7 @@ def version_of(key: str) -> int:
 
 
 def run_of(key: str) -> str:
-    """The run that a key belongs to; empty for what is no key."""
+    """The run that a key belongs to; empty for a text that is no key."""
     return (*key.split("/", 3), "", "", "")[2]
 
 
@@ -134,7 +134,7 @@ def sender_of(key: str) -> str:
 
 
 def publisher_of(key: str) -> tuple[str, str]:
-    """(role, name) of who publishes on a key of an area's or a gateway's own; empty for other keys."""
+    """(role, name) of the publisher on a key of an area's or a gateway's own; empty for other keys."""
     chunks = key.split("/")
     is_gateway = len(chunks) == 5 and chunks[3] == "gateway"
     return ("gateway", chunks[4]) if is_gateway else ("area", area) if (area := sender_of(key)) else ("", "")
@@ -147,7 +147,7 @@ def gateway_of(key: str, run: str, area: str) -> str:
 
 
 def name_of_live(key: str) -> tuple[str, str]:
-    """(role, name) of a presence token; empty for what is none."""
+    """(role, name) of a presence token; empty for other keys."""
     chunks = key.split("/")
     return (chunks[4], chunks[5]) if len(chunks) == 7 and chunks[3] == "live" else ("", "")
 

@@ -1,8 +1,8 @@
-"""How messages are packed, and what is rejected of what comes: an array in MessagePack, then its CRC-32.
+"""Packing of messages, and rejection of payloads that are none: an array in MessagePack, then its CRC-32.
 
 ``[wire version, kind, header, ...body]``: the fields of ``agents/messages/types.py`` in their order, dataclasses as
-arrays of their fields, maps as arrays of pairs. msgpack packs. The type of this array follows from the class; msgspec
-checks all of it while it reads, so nothing but what a message may hold is ever made of a payload.
+arrays of their fields, maps as arrays of pairs. msgpack packs. The type of this array follows from the class. msgspec
+checks all of the array while it reads, so a payload never turns into a value that a message may not hold.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ __all__ = [
 WIRE_VERSION = 3
 RECORDED_VERSIONS = (2, WIRE_VERSION)  # that logs of recordings may hold
 MAX_BYTES = 8 * 1024 * 1024
-MAX_NEIGHBOUR_BYTES = 256 * 1024  # of what neighbours say; only telemetry and states grow with the area
+MAX_NEIGHBOUR_BYTES = 256 * 1024  # of a message from a neighbour; only telemetry and states grow with the area
 KIND = re.compile(r"[a-z0-9_-]{1,32}")  # a part of keys
 UNNUMBERED = {
     "header",
@@ -77,7 +77,7 @@ UNNUMBERED = {
 }
 
 ExchangeMessage = UpMessage | DownMessage | BoundaryUpdate  # of a strategy
-LinkMessage = HeartbeatMessage | ExchangeMessage  # states how the link is that it comes on, see HeartbeatMessage
+LinkMessage = HeartbeatMessage | ExchangeMessage  # states the condition of its link, see HeartbeatMessage
 Message = LoadMessage | LinkMessage | TelemetryMessage | ReadingsMessage | CommandMessage | ClockMessage | StateMessage
 MESSAGE_TYPES: dict[str, type[Any]] = {
     cls.kind: cls for cls in typing.get_args(Message) if cls is not BoundaryUpdate
@@ -85,7 +85,10 @@ MESSAGE_TYPES: dict[str, type[Any]] = {
 
 
 def content_of(message: StateMessage) -> tuple[Any, ...]:
-    """What a sequence number stands for: all but the header and what may differ between two messages of one number."""
+    """Content that a sequence number stands for: all fields but those that may differ between two states of one number.
+
+    The header is not part of it.
+    """
     content: tuple[Any, ...] = _CONTENT[message.kind](message)
     return content
 
@@ -139,13 +142,13 @@ _READ: Mapping[Any, Callable[[Any], Any]] = {
 
 
 def _form_of(hint: Any) -> Any:
-    """What of a type needs more than msgspec: one of the keys of ``_PACK``; None if nothing does."""
+    """Key of ``_PACK`` for a type that needs more than msgspec; None for all other types."""
     form = typing.get_origin(hint) or hint
     return form if form in _PACK else None
 
 
 def _array_type(hint: Any) -> Any:
-    """The type of what stands in a message for a value of type ``hint``."""
+    """The type of the plain value that a message carries for a value of type ``hint``."""
     if hint is Totals:
         return WireTotals
     if hint is SplitIdentity:
@@ -165,7 +168,7 @@ def _hints_of(cls: Any) -> dict[str, Any]:
 
 
 class _Packing:
-    """How the messages of one class are packed and read."""
+    """Packing and reading of the messages of one class."""
 
     def __init__(self, cls: type[Any]) -> None:
         hints = _hints_of(cls)
@@ -212,7 +215,7 @@ def encode(message: Message) -> bytes:
 
 
 def seal(packed: bytes) -> bytes:
-    """``packed`` with its checksum, without which damaged numbers could not be distinguished from others."""
+    """``packed`` with its checksum; without it damaged numbers could not be distinguished from sound ones."""
     return packed + zlib.crc32(packed).to_bytes(4, "big")
 
 
@@ -220,7 +223,7 @@ def seal(packed: bytes) -> bytes:
 
 
 class _Beginning(msgspec.Struct, array_like=True):
-    """By what every message of any version begins; what follows is only looked through."""
+    """Beginning of every message of any version; the places after it are skipped."""
 
     version: int
     kind: msgspec.Raw
@@ -231,7 +234,7 @@ _BY_KIND = {msgpack.packb(kind): packing for kind, packing in _PACKINGS.items()}
 
 
 def add_message_type(cls: type[BoundaryUpdate]) -> None:
-    """Have messages of ``cls``, a strategy's, encoded and decoded like all others; of a known class nothing happens.
+    """Have messages of ``cls``, a strategy's, encoded and decoded like all others; a known class changes nothing.
 
     Raises:
         ValueError: its kind has no place in a key or is that of another class, or a field has a type that is not
@@ -259,7 +262,7 @@ def add_message_type(cls: type[BoundaryUpdate]) -> None:
 
 
 def _is_bounded(hint: Any) -> bool:
-    """Whether a field of this type is checked in full: a plain ``float`` may be nan, a plain ``str`` a novel."""
+    """True where a field of this type is checked in full: a plain ``float`` may be nan, a plain ``str`` too long."""
     if typing.get_origin(hint) is tuple:
         return all(place is Ellipsis or _is_bounded(place) for place in typing.get_args(hint))
     return hint in (BusId, Count, Integer, Number, Name, bool)
@@ -309,7 +312,7 @@ def _decode(payload: bytes, largest: int, versions: tuple[int, ...]) -> Message:
 
 
 def describe_other_version(version: int, who: str = "it speaks") -> str:
-    """What to do about somebody who speaks another wire version."""
+    """Sentence about a sender of another wire version, with the side to upgrade; ``who``: the sender and the verb."""
     older = "the other side" if version < WIRE_VERSION else "this program"
     return f"{who} wire version {version:.6g}, this is version {WIRE_VERSION}: upgrade {older}"
 

@@ -1,9 +1,9 @@
 """Totals as messages carry them: a list of (kind, value), a kind for each field of ``Totals``, in their order.
 
-What is left out is zero, false or empty, which adds nothing to any total. So a later version can add a kind without a
-new wire version: it leaves it out where it says nothing. Who does not know a kind that is there rejects the message,
-as the verdict follows from all totals, unless the kind ends with ``?``: nothing may follow from those, and who does
-not know them passes them over.
+A kind that is left out is zero, false or empty, which adds nothing to any total. So a later version can add a kind
+without a new wire version: its messages leave the kind out where it is empty. A receiver that does not know a kind
+rejects the message, because the verdict follows from all totals. The exception is a kind that ends with ``?``: the
+verdict may not depend on it, and a receiver that does not know it skips it.
 """
 
 from __future__ import annotations

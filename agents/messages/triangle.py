@@ -11,7 +11,7 @@ import numpy as np
 
 @functools.cache
 def _upper(d: int) -> np.ndarray:
-    """Where they stand in R row by row."""
+    """Indices of these numbers in ``R.ravel()``, row by row."""
     return np.flatnonzero(np.triu(np.ones((d, d))))
 
 

@@ -1,8 +1,8 @@
-"""What crosses the bus: one typed definition of each message, from which packing, checks and documentation follow.
+"""Messages on the bus: one typed definition of each, from which packing, checks and documentation follow.
 
 Every message is absolute and idempotent. The fields of a class stand in a message in their order (``packing.py``),
-each as its type says (``checks.py``); ``find_misfit`` says, once for each message that is read, what several of them
-cannot be together. Messages of asynchronous strategies stand with their strategies (``BoundaryUpdate``).
+each as its type says (``checks.py``). ``find_misfit`` runs once for each message that is read, and finds fields that
+contradict each other. Messages of asynchronous strategies stand with their strategies (``BoundaryUpdate``).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Incarnation:
     random: Count
 
     def __str__(self) -> str:
-        """As in the key of its presence token."""
+        """The incarnation as the key of its presence token has it."""
         return f"{self.start_ms:x}-{self.random:08x}"
 
 
@@ -39,7 +39,7 @@ NO_INCARNATION = Incarnation(0, 0)
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """Who says it, in which incarnation, about which scan. ``sequence`` grows with every changed content."""
+    """Sender of a message, its incarnation, and the message's scan. ``sequence`` grows with every changed content."""
 
     run: Name
     sender: Name
@@ -50,7 +50,7 @@ class Header:
 
     @property
     def order(self) -> tuple[Incarnation, int]:
-        """What makes one message of a sender newer than another."""
+        """Order of the messages of one sender: a newer one has a higher order."""
         return (self.incarnation, self.sequence)
 
 
@@ -75,11 +75,11 @@ class LoadMessage:
 
 @dataclass(frozen=True, slots=True)
 class BoundaryUpdate:
-    """What an area sends a neighbour about their boundary ``bus`` under an asynchronous strategy.
+    """Message of an area to a neighbour about their boundary ``bus`` under an asynchronous strategy.
 
     A strategy derives its own message from it: a dataclass with a ``kind`` that no other message has, which is a part
     of keys (a-z, 0-9, _ and -), and with fields of the types of ``agents/messages/checks.py``. ``receives``,
-    ``answers``, ``received``, ``complete``: of the link, as in a heartbeat. The protocol fills them in; they hold at
+    ``answers``, ``received``, ``complete``: of the link, as in a heartbeat. The protocol fills them in. They hold at
     ``header.time``, may differ between two messages of one number, and stand last in the message.
     """
 
@@ -92,7 +92,7 @@ class BoundaryUpdate:
     complete: bool = field(default=False, kw_only=True, metadata=LAST)
 
     def falsified(self, falsify: Callable[[Numbers], Numbers]) -> Self:
-        """What an injected lie makes of the message.
+        """The message as an injected lie changes it.
 
         ``falsify``: of the numbers y of the message's ``variables``; without these, of (p, q, vm, va) at ``bus``. A
         message that does not say which of its numbers are about the boundary cannot lie.
@@ -110,7 +110,7 @@ class VariablesMessage(ABC):
 
     @property
     def boundary(self) -> Boundary:
-        """What ``variables`` names."""
+        """The boundary whose ``variables`` these are."""
         return boundary_of(self.variables)
 
     @abstractmethod
@@ -123,12 +123,12 @@ class VariablesMessage(ABC):
 
 @dataclass(frozen=True, slots=True)
 class PlaceMessage(VariablesMessage):
-    """A message from round ``k`` of the term (scan, ``revision``), which also states how the link is.
+    """A message from round ``k`` of the term (scan, ``revision``), which also states the condition of the link.
 
     ``receives``: the sender receives messages of the receiver. ``answers``: send time of the receiver's newest message
-    plus the time it has lain here, from which the receiver finds the round trip; 0 without one. ``received``: numbers
-    of the newest load message and of the newest message of the strategy that it has accepted of the receiver, 0 without
-    one.
+    plus the time since the sender got it, from which the receiver finds the round trip; 0 without one. ``received``:
+    numbers of the newest load message and of the newest message of the strategy that the sender has accepted from the
+    receiver; 0 without one.
     """
 
     revision: Count
@@ -140,15 +140,16 @@ class PlaceMessage(VariablesMessage):
 
 @dataclass(frozen=True, slots=True)
 class HeartbeatMessage(PlaceMessage):
-    """Where the sender stands: in (scan, ``revision``) it has come to round ``k``, and whether that is ``final``.
+    """Progress of the sender: its round ``k`` in (scan, ``revision``), and whether that round is ``final``.
 
     Asynchronous strategies have no rounds: there ``k`` is the number of the newest boundary message to the receiver.
-    ``complete``: all on its side is of this scan, received and fresh. ``y``: at rest, the d ``variables`` of the
-    boundary in its final state. ``plant``, ``offset``: the scan of terms is the number that this incarnation of the
-    plant gives it, plus so much (``agents/protocol/scan_readings.py``). ``towards_hub``, ``is_parent``: what the
-    receiver is to the sender; ``areas``: of the grid; ``base_mva``: all from the sender's area file (``agreement.py``).
-    ``clock``: by how much the sender's clock is ahead of its send times, s, which go on where that has been set back.
-    ``split``: of the sender's area file.
+    ``complete``: everything on the sender's side is of this scan, received and fresh. ``y``: at rest, the d
+    ``variables`` of the boundary in the sender's final state. ``plant``, ``offset``: the scan of terms is the number
+    that this incarnation of the plant gives the scan, plus ``offset`` (``agents/protocol/scan_readings.py``).
+    ``towards_hub``, ``is_parent``: role of the receiver for the sender; ``areas``: number of areas in the grid;
+    ``base_mva``: base power, MVA; all four are from the sender's area file (``agreement.py``). ``clock``: lead of the
+    sender's clock over its send times, s; these go on where the clock has been set back. ``split``: of the sender's
+    area file.
     """
 
     kind: ClassVar[str] = "heartbeat"
@@ -170,7 +171,7 @@ class HeartbeatMessage(PlaceMessage):
 
 @dataclass(frozen=True)
 class RoundMessage(PlaceMessage):
-    """One side's part in round ``k`` of the term (scan, ``revision``): all that the sender's side knows at x_k.
+    """Information of the sender's side in round ``k`` of the term (scan, ``revision``): all that it knows at x_k.
 
     ``R``, ``z``: the side's cost-to-go at the boundary, ``1/2 |R y - z|^2``, R the upper triangle of a (d, d) matrix
     row by row; empty where no step is to come. ``no_load``: R of the no-load model in round 0, of (p, q) / vm_b^2,
@@ -206,7 +207,7 @@ class UpMessage(RoundMessage):
 class DownMessage(RoundMessage):
     """From the side of the hub; the totals are those of all areas, on which ``decider`` in its ``incarnation`` decided.
 
-    ``verdict``: what follows from them, which the receiver finds out for itself, too.
+    ``verdict``: the verdict that follows from these totals; the receiver derives it, too, and compares.
     """
 
     kind: ClassVar[str] = "down"
@@ -217,10 +218,10 @@ class DownMessage(RoundMessage):
 
 @dataclass(frozen=True, slots=True)
 class TelemetryMessage:
-    """What a gateway, or the plant, has read last of each of its meters in an area: id, value and sigma, p.u. and rad.
+    """Last readings of a gateway, or of the plant, from its meters in an area: id, value and sigma, p.u. and rad.
 
-    ``times``: when it was measured, s since 1970 UTC. ``valid``: whether its source vouches for it. ``split``: of the
-    scenario from which a plant reads; of a gateway none.
+    ``times``: time of each measurement, s since 1970 UTC. ``valid``: True where the source vouches for the reading.
+    ``split``: of the scenario from which a plant reads; a gateway states none.
     """
 
     kind: ClassVar[str] = "telemetry"
@@ -243,9 +244,9 @@ class TelemetryMessage:
 class ReadingsMessage:
     """The readings that an area has used in a scan, for recorders: id, value, sigma grown with the age, p.u. and rad.
 
-    ``taken_at``: to which moment their ages count; ``times``: when they were measured, s since 1970 UTC. ``estimates``,
-    ``normalised``: of as many of the first meters as the state of this scan rests on, what each would read in it, and
-    its normalised residual (0: no other determines what it reads).
+    ``taken_at``: time to which their ages count; ``times``: time of each measurement; both s since 1970 UTC.
+    ``estimates``, ``normalised``: for the first meters, those on which the state of this scan rests: the reading of
+    each in that state, and its normalised residual (0: no other meter determines its reading).
     """
 
     kind: ClassVar[str] = "readings"
@@ -270,11 +271,11 @@ class ReadingsMessage:
 
 @dataclass(frozen=True, slots=True)
 class CommandMessage:
-    """What the operator asks of area ``to``, or of the plant: of two messages the one of higher order counts.
+    """Command of the operator to area ``to``, or to the plant; of two messages the one of higher order counts.
 
-    ``meters_off``: those that are to be left out from now on, ``meters_on``: those that are to be used again; of others
-    it says nothing, so that the commands of two operators add up. ``scan``: the area is to take the newest readings at
-    once. ``stop``: its process is to end.
+    ``meters_off``: meters to leave out from now on; ``meters_on``: meters to use again. Other meters stay as they are,
+    so the commands of two operators add up. ``scan``: the area takes the newest readings at once. ``stop``: its process
+    ends.
     """
 
     kind: ClassVar[str] = "command"
@@ -288,7 +289,7 @@ class CommandMessage:
 
 @dataclass(frozen=True, slots=True)
 class ClockMessage:
-    """How long the run has lasted since all areas were there, s; windows of injected faults count from then."""
+    """Time since all areas of the run were there, ``elapsed_s``; windows of injected faults count from then."""
 
     kind: ClassVar[str] = "clock"
     header: Header
@@ -297,25 +298,25 @@ class ClockMessage:
 
 @dataclass(frozen=True, slots=True)
 class StateMessage:
-    """What an area knows and on what it rests, for watchers.
+    """State of an area and its basis, for watchers.
 
     ``buses``, ``vm``, ``va``, ``sigma_vm``, ``sigma_va``: the estimate (empty before the first), p.u. and rad.
     ``referenced``: angles count from the substation. ``removed``: meters taken out as bad data.
-    ``critical``: meters that cannot be spared, whatever they read. ``checked``: bad data have been looked for.
+    ``critical``: meters that cannot be spared, whatever they read. ``checked``: the search for bad data has been done.
     ``sent``, ``received``: per neighbour the last sequence numbers of load messages and of boundary messages or those
     of rounds; 0 before any.
     ``messages``, ``bytes``, ``lost``: totals handed to the bus, ``lost`` of them dropped by the links; ``faults``:
-    what the links have done to them, by kind. ``rejected``: received payloads by reason of rejection.
-    ``quality``: of the state (docs/explanation/quality.md). ``notes``: why, the worst first, then remarks.
+    number of injected faults by kind. ``rejected``: number of rejected payloads by reason.
+    ``quality``: of the state (docs/explanation/quality.md). ``notes``: its reasons, the worst first, then remarks.
     ``telemetry_age``: s since telemetry was last received;
     ``ages``, ``scans``: neighbour -> s since its boundary message was last received, and the scan of the newest;
-    ``old_sides``: neighbours that say that their side rests on something old. ``clock_skews``: neighbour -> by how much
-    its clock is ahead of this area's, s. All these hold at ``header.time`` and may differ between two states of one
-    sequence number.
-    ``taken_at``: to which moment the ages of the readings count, s since 1970; ``oldest_reading``: age of the oldest
-    one used, s; without any that of the newest received. ``meters_off``: those that the operator has switched off;
-    ``command``: (start_ms, random, sequence) of the last command that was followed, zeros before any. ``split``: of the
-    area file; ``next_split``: of the one that lies ready beside it.
+    ``old_sides``: neighbours that state that their side rests on something old. ``clock_skews``: neighbour -> lead of
+    its clock over this area's, s. All these hold at ``header.time`` and may differ between two states of one sequence
+    number.
+    ``taken_at``: time to which the ages of the readings count, s since 1970; ``oldest_reading``: age of the oldest
+    reading used, s; without any, age of the newest one received. ``meters_off``: meters that the operator has switched
+    off; ``command``: (start_ms, random, sequence) of the last command that was followed, zeros before any. ``split``:
+    of the area file; ``next_split``: of the file that lies ready beside it.
     """
 
     kind: ClassVar[str] = "state"
@@ -359,6 +360,6 @@ class StateMessage:
 
 
 def _find_unequal(message: object, *names: str) -> str:
-    """That arrays that belong together differ in length; empty if they do not."""
+    """Sentence about arrays that belong together and differ in length; empty if they are equally long."""
     is_equal = len({len(getattr(message, name)) for name in names}) == 1
     return "" if is_equal else f"{', '.join(names)} differ in length"

@@ -1,1 +1,1 @@
-"""What the operator orders a process to do: which commands are followed, and what of them outlives the process."""
+"""Commands of the operator to a process: the rules for following them, and the record that outlives the process."""

@@ -1,7 +1,7 @@
 """The operator's commands to one process: each is followed once, in their order, and rejected with a reason otherwise.
 
-Without keys on the bus anybody may write the operator's name; with keys nobody but the operator reaches the key on
-which commands come, and what is left to reject is a command that somebody has received and repeats.
+Without keys on the bus any process may use the operator's name. With keys only the operator can publish on the key of
+commands; the commands left to reject are those that another process has received and repeats.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dsse_core.grid.measurement import Source
 from dsse_core.printable import listed, printable
 
 log = logging.getLogger(__name__)
-LONGEST_AGE_S = 60.0  # of a command, by the operator's clock; who gives one repeats it with the time of each
+LONGEST_AGE_S = 60.0  # of a command, by the operator's clock; each repeat has a time of its own
 LARGEST_COMMAND = MAX_NEIGHBOUR_BYTES
 MOST_NAMED = 12  # meters in a line of the log
 BY_OPERATOR = "stopped by the operator"  # leave message
@@ -32,12 +32,12 @@ UNRECORDED = "command that cannot be recorded"
 
 
 class OrderBook:
-    """What process ``name`` of ``run`` has followed of the operator's commands.
+    """Record of the operator's commands that process ``name`` of ``run`` has followed.
 
     Args:
-        meters: ids of its own meters; others in a command are somebody else's.
-        file: where that outlives the process; None: of a process that keeps nothing, as one without meters.
-        began_at: s since 1970; commands that are older are not followed.
+        meters: ids of its own meters; other ids in a command are ignored.
+        file: where the record outlives the process; None: the process keeps nothing, as one without meters.
+        began_at: s since 1970; older commands are not followed.
 
     Raises:
         InvalidInputError: ``file`` cannot be read.
@@ -61,24 +61,24 @@ class OrderBook:
 
     @classmethod
     def of(cls, content: Configuration, file: OrderFile | None = None) -> OrderBook:
-        """That of the area of ``content``."""
+        """The order book of the area of ``content``."""
         meters = [meter.id for meter in content.meters if meter.source is not Source.VIRTUAL]
         return cls(content.area.name, content.run, meters, file)
 
     def go_over(self, content: Configuration) -> OrderBook:
-        """That of the same area with other meters: what has been followed holds."""
+        """The order book of the same area with other meters; the commands followed so far hold."""
         book = OrderBook.of(content)
         book._file, book._followed = self._file, self._followed
         return book
 
     def begin(self) -> list[Event]:
-        """What was ordered before the process began, and still holds."""
+        """Events of the commands that were followed before the process began, and still hold."""
         if self._followed == Followed():
             return []
         return [self._ordered(scan=False)]
 
     def take(self, payload: bytes, wall: float) -> Iterator[Event]:
-        """What follows from a ``payload`` on the key of commands that came at ``wall``, s since 1970."""
+        """Events that follow from a ``payload`` on the key of commands, received at ``wall``, s since 1970."""
         try:
             message = decode(payload, LARGEST_COMMAND)
         except MessageError as error:
@@ -107,7 +107,7 @@ class OrderBook:
         return ""
 
     def _follow(self, message: CommandMessage) -> Iterator[Event]:
-        """Record ``message`` first: what a restart would forget is not followed."""
+        """Record ``message``, then follow it: a command that a restart would forget is not followed."""
         off_now = {*self._followed.meters_off, *message.meters_off} - {*message.meters_on}
         off = tuple(sorted(self._meters & off_now))
         followed = Followed(message.header.incarnation, message.header.sequence, off)

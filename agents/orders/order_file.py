@@ -1,4 +1,4 @@
-"""What an area keeps of the operator's commands, in a file that outlives its process: whole, or as before."""
+"""File of the operator's commands that an area has followed. It outlives the process, and is written whole or not."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MeterId = Annotated[str, Field(max_length=LONGEST_NAME)]
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """``incarnation``, ``sequence``: of the last command that was followed; ``meters_off``: what all have left off."""
+    """``incarnation``, ``sequence``: of the last command that was followed; ``meters_off``: off after all commands."""
 
     incarnation: Incarnation = NO_INCARNATION
     sequence: int = 0
@@ -31,7 +31,7 @@ class Followed:
 
     @property
     def order(self) -> tuple[Incarnation, int]:
-        """As of a message: a higher one is newer."""
+        """Order of the last command, as of a message: a newer command has a higher one."""
         return self.incarnation, self.sequence
 
 
@@ -54,12 +54,12 @@ class OrderFile:
 
     @classmethod
     def of(cls, area_file: Path, run: str, area: str) -> OrderFile:
-        """In the state directory that systemd gives the process, else beside the area file."""
+        """The file of ``area`` in ``run``: in the state directory given by systemd, else beside ``area_file``."""
         folder = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
         return cls((Path(folder) if folder else area_file.parent) / f"{run}.{area}.operator.json")
 
     def load(self) -> Followed:
-        """What was saved last.
+        """The commands that were saved last; without a file, none.
 
         Raises:
             InvalidInputError: the file cannot be read, or is not what ``save`` writes.
@@ -67,7 +67,7 @@ class OrderFile:
         try:
             if not self.path.exists():
                 return Followed()
-        except OSError as error:  # a folder that may not be looked into, or whose name cannot be
+        except OSError as error:  # of a folder without access, or a name that is too long
             raise InvalidInputError(OPERATOR_FILE.called(self.path), [f"cannot be read: {error.strerror}"]) from None
         try:
             table = load_strict(self.path, OperatorTable)
@@ -81,7 +81,7 @@ class OrderFile:
         """Write ``followed`` through to the disk.
 
         Raises:
-            OSError: naming the file; then it is as before.
+            OSError: naming the file, which then stays as before.
         """
         start = followed.incarnation
         table = {
