@@ -1,3 +1,3 @@
-"""An agent as a process: its loop, inbox, presence, links with injected faults, and what it does with a second
+"""An agent as a process: its loop, inbox and presence, its links with injected faults, and the check for a second
 process of its name.
 """

@@ -1,8 +1,8 @@
 """Two processes under one name: the older incarnation gives way, because a receiver of both takes the newer one.
 
-Each shows a token and watches those of its own name. An incarnation that has been killed may be seen for a while after
-its end; if the clock was set back since, it even looks newer. So nobody gives way before the bus must have noticed a
-death.
+Each process shows a token and watches the tokens of its own name. The token of a killed incarnation may be seen for a
+while after its end; if the clock was set back since, that incarnation even looks newer. So a process gives way only
+after the time in which the bus notices a death.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from dsse_core.errors import DsseError
 # The larger of both: longer than the bus takes to notice a death (2 s or 8 heartbeats).
 OVERLAP_S, OVERLAP_HEARTBEATS = 3.0, 12.0
 GIVES_WAY = "gives way to a newer incarnation"  # leave message of the older one
-REPLACED_CODE = 3  # its exit code: started again, it would be the newer one, and the other one would have to go
+REPLACED_CODE = 3  # its exit code: if it were restarted, it would be newer and replace the other process
 
 
 class ReplacedError(DsseError):
-    """Another process runs under our name, and began later or has a newer file."""
+    """Another process runs under the name of this one, and began later or has a newer file."""
 
 
 def find_overlap_s(heartbeat_s: float) -> float:
-    """How long the token of a process may be seen after its end, s."""
+    """Longest time for which the token of a process may be seen after its end, s."""
     return max(OVERLAP_S, OVERLAP_HEARTBEATS * heartbeat_s)
 
 
 class DuplicateGuard:
-    """What process ``whom``, incarnation ``own``, has seen of newer ones; ``now``: monotonic time, s."""
+    """Newer incarnations seen by process ``whom``, incarnation ``own``; ``now``: monotonic time, s."""
 
     def __init__(self, whom: str, own: Incarnation, now: float, heartbeat_s: float) -> None:
         self._overlap_s = find_overlap_s(heartbeat_s)
@@ -39,7 +39,7 @@ class DuplicateGuard:
         self._since: dict[Incarnation, float] = {}  # newer incarnation -> when it was first seen
 
     def take(self, key: str, alive: bool, now: float) -> None:
-        """Note that the token on ``key`` appeared or vanished; one from the future is nobody's, as its messages are."""
+        """Note that the token on ``key`` appeared or vanished; a token from the future is ignored, as messages are."""
         incarnation = incarnation_of(key)
         latest_ms = self._own.start_ms + 1000 * (now - self._began + LONGEST_LEAD_S)
         if incarnation is None:
@@ -54,7 +54,7 @@ class DuplicateGuard:
         self._since.clear()
 
     def next_due(self) -> float:
-        """When ``check`` may have something to say; infinity if nobody newer is there."""
+        """Earliest time at which ``check`` may raise, monotonic, s; infinity without a newer incarnation."""
         return min(self._since.values(), default=float("inf")) + self._overlap_s
 
     def check(self, now: float) -> None:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import time
 
-LEAST_STEP_S = 1e-3  # by which a clock is set, so that it is reported
-QUICK_S = 1e-4  # within which both clocks are read, or else the process was interrupted between them
+LEAST_STEP_S = 1e-3  # a smaller change of the clock is not reported
+QUICK_S = 1e-4  # two clocks read in a longer time were not read at one moment: the process was interrupted
 
 
 class HostClock:
     """``offset``: from monotonic to wall-clock time, s.
 
     Args:
-        error_s: injected fault: by how much the clock is ahead, s.
+        error_s: injected fault: lead of the clock, s.
     """
 
     def __init__(self, error_s: float = 0.0) -> None:
@@ -20,7 +20,10 @@ class HostClock:
         self.offset = self._read()[0]
 
     def has_been_set(self) -> bool:
-        """Whether the clock has been set since it was last asked; ``offset`` is the new one then."""
+        """True where the clock has been set since the last call; ``offset`` is then the new one.
+
+        False where the two clocks could not be read at one moment; a later call finds the change.
+        """
         offset, is_certain = self._read()
         if not is_certain or abs(offset - self.offset) <= LEAST_STEP_S:
             return False

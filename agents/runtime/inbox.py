@@ -4,14 +4,14 @@ import queue
 from typing import Any
 
 MAX_WAITING = 10_000
-SUPERSEDED = object()  # a newer item of the slot is being put at this very moment, and will be announced
+SUPERSEDED = object()  # a newer item of the slot is being put at this moment, and its announcement follows
 
 
 class Inbox:
-    """Many threads put, one takes. What finds ``MAX_WAITING`` slots with unread items is dropped.
+    """Many threads put items, one takes them. An item of a new slot is dropped while ``MAX_WAITING`` slots are unread.
 
-    No lock, because ``put`` is called by signal handlers too, which may interrupt ``take``: each operation on the
-    dict and on the queue is atomic by itself, and ``take`` takes all there is, however often it was announced.
+    There is no lock, because signal handlers also call ``put``, and they may interrupt ``take``. Each operation on the
+    dict and on the queue is atomic by itself, and ``take`` takes all items, however often they were announced.
     """
 
     def __init__(self) -> None:
@@ -28,7 +28,7 @@ class Inbox:
             self._announced.put(None)
 
     def take(self, timeout_s: float) -> list[Any]:
-        """Wait for items up to ``timeout_s``; everything unread, the newest of each slot, in order of arrival."""
+        """Wait for items up to ``timeout_s``; returns all unread ones, the newest of each slot, in order of arrival."""
         try:
             self._announced.get(timeout=max(0.0, timeout_s))
             while True:

@@ -1,4 +1,4 @@
-"""Who stands at the door of an agent: lets in messages on known keys, within their size, and counts the others."""
+"""Filter of incoming messages by key and size, before the inbox; rejected ones are counted and logged."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ ANY_GATEWAY = "*"
 
 
 class IngressFilter:
-    """Puts what arrives on the bus' threads into ``inbox``, one slot for each key: strangers do not make it grow.
+    """Puts messages from the bus' threads into ``inbox``, one slot for each known key: strangers do not make it grow.
 
     Args:
-        neighbour_keys: those on which neighbours send to this area.
-        run, area: whose telemetry it is.
-        gateways: names that may send for its meters; of ``ANY_GATEWAY`` the first ``MOST_GATEWAYS`` that do.
-        meters: ids of its meters. Telemetry that names just these is let in with them, not with thousands of texts that
-            say the same.
+        neighbour_keys: keys on which neighbours send to this area.
+        run, area: of the telemetry.
+        gateways: names that may send for the area's meters; ``ANY_GATEWAY`` admits the first ``MOST_GATEWAYS`` names.
+        meters: ids of the area's meters. Telemetry of exactly these meters shares this tuple, so that thousands of
+            equal texts are not kept for each message.
     """
 
     def __init__(
@@ -45,16 +45,16 @@ class IngressFilter:
         self._room = MOST_GATEWAYS if ANY_GATEWAY in gateways else 0
         self._inbox = inbox
         self._meters = meters
-        self._last: dict[str, tuple[bytes, Received]] = {}  # of each key; most of what comes repeats it
+        self._last: dict[str, tuple[bytes, Received]] = {}  # of each key; most payloads repeat it
         self._rejected: Counter[str] = Counter()
         self._lock = threading.Lock()
 
     def let_in(self, neighbour_keys: Collection[str]) -> None:
-        """Let in what comes on ``neighbour_keys``, too."""
+        """Let in messages on ``neighbour_keys``, too."""
         self._neighbour_keys |= frozenset(neighbour_keys)
 
     def take(self, key: str, payload: bytes) -> None:
-        """Let a message in, or count why not."""
+        """Put a message into the inbox, or count it as rejected."""
         gateway = "" if key in self._neighbour_keys else gateway_of(key, self._run, self._area)
         if not (key in self._neighbour_keys or self._may_publish(gateway)):
             self._reject("unknown sender", key, "nobody who has a say here speaks on this key")
@@ -92,10 +92,10 @@ class IngressFilter:
 
 
 def _require_its_own(message: Message, gateway: str) -> None:
-    """Telemetry comes on the key of who says it.
+    """Check that a message on a telemetry key of ``gateway`` is telemetry of that gateway.
 
     Raises:
-        MessageError: it does not.
+        MessageError: it is not.
     """
     if gateway and not (isinstance(message, TelemetryMessage) and message.header.sender == gateway):
         raise MessageError("sender does not own the key", f"{gateway} speaks for {message.header.sender}")

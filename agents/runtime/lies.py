@@ -1,8 +1,8 @@
-"""What a lying area says: the same false boundary, totals or verdict in all its messages.
+"""Messages of a lying area: the same false boundary, totals or verdict in all of them.
 
-A story that contradicts itself is found out at once. So every number about y, the variables of the boundary,
-is changed as if y were another one, and a verdict follows from the totals that are sent, unless the lie is about the
-verdict itself.
+A lie that contradicts itself is detected at once. So every number about y, the variables of the boundary, is changed
+as if y were another one. A verdict follows from the false totals that are sent, unless the lie is about the verdict
+itself.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ class Liar:
 
     def __init__(self, faults: LinkFaults) -> None:
         self._faults = faults
-        self._memories: dict[tuple[object, int, int, int], Memory] = {}  # what verdicts of a round rest on, as sent
+        self._memories: dict[tuple[object, int, int, int], Memory] = {}  # basis of the verdicts of a round, as sent
 
     def falsify(self, message: Message) -> Message:
-        """What the link makes ``message`` say."""
+        """``message`` as the lying link sends it."""
         match message:
             case UpMessage() | DownMessage():
                 return self._falsify_round(message)
@@ -50,7 +50,7 @@ class Liar:
         return message
 
     def _falsify_y(self, boundary: Boundary, y: tuple[float, ...]) -> tuple[float, ...]:
-        """y, or the first of it, or nothing where nothing was sent."""
+        """The false y for ``y``, which holds all of it, its first numbers, or none."""
         if not self._faults.lies_of_boundary:
             return y
         false = self._faults.lie_scale * np.array(y) + self._offset_of(boundary)[: len(y)]
@@ -86,7 +86,10 @@ class Liar:
         return totals
 
     def _find_verdict(self, message: DownMessage, totals: Totals) -> str:
-        """What follows from ``totals`` after all that was sent in this term."""
+        """Verdict that follows from ``totals`` and from all totals sent before in this term.
+
+        The true verdict where the lie is not about totals, or where the beginning of the term was not sent.
+        """
         if not self._faults.lies_of_totals:
             return message.verdict
         header = message.header

@@ -1,7 +1,7 @@
 """The links of an area to its neighbours: between protocol and bus, with the faults of the scenario.
 
-A machine without clock or threads, like the protocol: messages and time in, payloads for the bus out. What is
-delayed waits in a queue until somebody calls ``release`` at the time that ``next_due`` names.
+A machine without clock or threads, like the protocol: messages and time in, payloads for the bus out. A delayed
+message waits in a queue until the loop calls ``release`` at the time of ``next_due``.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ _Held = tuple[float, int, str, str, int, bytes]  # due, order, receiver, kind, n
 
 @dataclass
 class FaultyLinks:
-    """Sends messages of area ``sender``; ``faults``: neighbour -> those of the link to it.
+    """Sends messages of area ``sender``; ``faults``: neighbour -> faults of the link to it.
 
-    ``messages``, ``bytes``: handed over for neighbours, repeats and what is lost included; ``met``: kind of fault ->
-    how often it has happened.
+    ``messages``, ``bytes``: handed over for neighbours, repeats and lost ones included; ``met``: kind of fault ->
+    number of times it has happened.
     """
 
     sender: str
@@ -48,7 +48,7 @@ class FaultyLinks:
         return sum(self.met[kind] for kind in LOSSES)
 
     def begin(self, at: float) -> None:
-        """The run began at time ``at``: windows of faults count from there; until this is known, none has come."""
+        """Note that the run began at time ``at``: windows of faults count from there; before this call none is open."""
         self._began = at
 
     def send(self, message: Message, to: str | None, now: float) -> None:
@@ -90,23 +90,23 @@ class FaultyLinks:
         self.put(to, message.kind, payload)
 
     def _count(self, kind: str) -> None:
-        """That a fault of ``kind`` has happened; none if that is empty."""
+        """Count a fault of ``kind``; an empty ``kind`` is none."""
         if kind:
             self.met[kind] += 1
 
     def with_counts(self, message: Message) -> Message:
-        """``message``, a state with what the links have counted."""
+        """``message``; a state gets the counts of the links."""
         if not isinstance(message, StateMessage):
             return message
         met = dict(self.met)
         return replace(message, messages=self.messages, bytes=self.bytes, lost=self.lost, faults=met)
 
     def next_due(self) -> float:
-        """When the next delayed message is to go out; infinity if none waits."""
+        """Time at which the next delayed message goes out; infinity if none waits."""
         return self._waiting[0][0] if self._waiting else math.inf
 
     def release(self, now: float) -> None:
-        """Hand over what has waited long enough."""
+        """Hand over the delayed messages that are due at ``now``."""
         while self._waiting and self._waiting[0][0] <= now:
             _, _, to, kind, number, payload = heapq.heappop(self._waiting)
             if number < self._newest[to]:

@@ -1,6 +1,6 @@
-"""What the faults of a directed link do to its n-th message: drawn from the seed, the link and n alone.
+"""Effect of the faults of a directed link on its n-th message: drawn from the seed, the link and n alone.
 
-The same on the real bus and on the simulator. Repeats and load messages count like all others.
+The effect is the same on the real bus and on the simulator. Repeats and load messages count like all others.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MOST_FLIPPED = 3  # bytes
 
 
 def draw_fate(seed: int, sender: str, receiver: str, number: int, what: str = "") -> float:
-    """A uniform number in [0, 1) that belongs to message ``number`` of a directed link; one for each ``what``."""
+    """A uniform number in [0, 1) for message ``number`` of a directed link; another one for each ``what``."""
     link = f"{seed}/{sender}/{receiver}/{number}" + (f"/{what}" if what else "")
     digest = hashlib.blake2b(link.encode(), digest_size=8).digest()
     return int.from_bytes(digest, "big") / 2**64
@@ -30,7 +30,10 @@ def draw_fate(seed: int, sender: str, receiver: str, number: int, what: str = ""
 
 @dataclass
 class LinkFate:
-    """The fates of one link's messages, in their order; ``number`` of the next one, ``bad`` inside a burst."""
+    """The fates of one link's messages, in their order.
+
+    ``number``: of the current message, from 0; -1 before the first. ``bad``: True inside a burst.
+    """
 
     faults: LinkFaults
     seed: int
@@ -46,7 +49,7 @@ class LinkFate:
 
     @cached_property
     def is_sound(self) -> bool:
-        """Whether nothing ever befalls a message."""
+        """True where the link has no faults."""
         return self.faults == LinkFaults()
 
     def next(self) -> None:
@@ -58,13 +61,13 @@ class LinkFate:
             self.bad ^= self._draw("burst") < change
 
     def find_loss(self) -> str:
-        """Why the message is lost; empty if it is not."""
+        """Kind of fault by which the message is lost; empty if it is not lost."""
         if self.bad:
             return BURST if self._draw("loss in a burst") < self.faults.burst_loss else ""
         return LOST if self.faults.loss and self._draw("") < self.faults.loss else ""
 
     def falsify(self, message: Message) -> tuple[Message, str]:
-        """What the link makes the message say, and the kind of fault; empty if it leaves it as it is."""
+        """The message as the link sends it, and the kind of fault; empty if the message is unchanged."""
         f = self.faults
         if isinstance(message, LoadMessage):
             if not f.changes_loads:
@@ -75,7 +78,7 @@ class LinkFate:
         return lie, LIED if lie != message else ""
 
     def copies(self, payload: bytes) -> list[tuple[float, bytes, bool]]:
-        """(delay in s, bytes, whether they are damaged) of every copy that is to be delivered."""
+        """(delay in s, bytes, True if damaged) of every copy to deliver."""
         again = self.faults.duplicate and self._draw("duplicate") < self.faults.duplicate
         return [self._copy(payload, copy) for copy in (("", " again") if again else ("",))]
 

@@ -74,12 +74,12 @@ class _TokenSeen:
 
 @dataclass(frozen=True, slots=True)
 class _OutOfSight:
-    """All tokens seen up to now count no longer: the links are opened anew, with other rules perhaps."""
+    """All tokens seen so far no longer count: the links are opened again, perhaps with other rules."""
 
 
 @dataclass(frozen=True, slots=True)
 class _ClockReceived:
-    """What arrived on the clock's key at monotonic time ``at``."""
+    """A ``payload`` on the clock's key, received at monotonic time ``at``, s."""
 
     at: float
     payload: bytes
@@ -87,7 +87,7 @@ class _ClockReceived:
 
 @dataclass(frozen=True, slots=True)
 class _CommandReceived:
-    """What arrived on the key of the operator's commands."""
+    """A ``payload`` on the key of the operator's commands."""
 
     payload: bytes
 
@@ -100,11 +100,12 @@ def run_agent(
     orders: OrderBook | None = None,
     next_file: NextFile | None = None,
 ) -> str:
-    """Take part in the exchange until something puts ``StopRequested`` into ``inbox``; return its reason.
+    """Take part in the exchange until ``StopRequested`` arrives in ``inbox``; return its reason.
 
-    ``orders``: of the operator, to be followed; None: those that come from now on. ``watchdog``: learns when it is
-    there, and that the loop goes round. ``next_file``: where the file of the next split will lie. When all areas go
-    over to that, the process goes on with it as a new incarnation, on the same links.
+    ``orders``: commands of the operator so far; None: the process follows only those that come from now on.
+    ``watchdog``: is told that the area takes part, and that the loop goes on. ``next_file``: watches the file of the
+    next split. When all areas go over to that file, the process goes on with it as a new incarnation, on the same
+    links.
 
     Raises:
         ReplacedError: another agent of the area runs that began later.
@@ -126,7 +127,7 @@ def run_agent(
 
 @dataclass
 class _Process:
-    """What stays while an area goes over to the next configuration."""
+    """Objects of the process that stay while an area goes over to the next configuration."""
 
     session: Session
     inbox: Inbox
@@ -136,7 +137,7 @@ class _Process:
     changes: ChangeLog = field(default_factory=ChangeLog)
 
     def next_due(self) -> float:
-        """When the folder of the area file is to be looked at."""
+        """Time of the next look at the folder of the area file, monotonic, s; infinity without ``next_file``."""
         return self.next_file.next_due if self.next_file else math.inf
 
 
@@ -151,8 +152,8 @@ def _run_configuration(
 ) -> str | Configuration:
     """Take part with ``content`` until the end of the process, whose reason is returned, or until the next one counts.
 
-    Subscribes first and shows its presence last, so that who sees the token can be sure that its messages are received.
-    ``former``: declarations of the configuration before, which end then. ``is_first``: there was none before.
+    The area subscribes first and shows its presence last: a process that sees the token knows that its messages are
+    received. ``former``: declarations of the configuration before, which end then. ``is_first``: there was none before.
     """
     session, inbox, watchdog = process.session, process.inbox, process.watchdog
     now = time.monotonic()
@@ -186,7 +187,7 @@ def _run_configuration(
                 case Conclude():
                     process.changes.take(action, now)
                 case GoOver(configuration):
-                    for event in events:  # whatever came beside it is repeated by its sender, but not this
+                    for event in events:  # all other events are repeated by their senders, but not this one
                         if isinstance(event, StopRequested):
                             inbox.put("stop", event)
                     return configuration
@@ -212,7 +213,7 @@ def _run_configuration(
 
 
 def _heartbeats_from(configuration: Configuration | None) -> list[str]:
-    """The keys on which the neighbours by the next configuration say where they stand."""
+    """The keys of heartbeats from the neighbours of the next configuration."""
     if configuration is None:
         return []
     run, name = configuration.run, configuration.area.name
@@ -220,7 +221,7 @@ def _heartbeats_from(configuration: Configuration | None) -> list[str]:
 
 
 def _declare_presence(content: Configuration, session: Session, incarnation: Incarnation) -> Callable[[bytes], None]:
-    """Show the token of ``incarnation``; what sends its leave message."""
+    """Show the token of ``incarnation``; returns the function that sends its leave message."""
     own_token = live_key(content.run, "area", content.area.name, incarnation, content.identity)
     send_leave = session.publisher(own_token)
     session.declare_presence(own_token)
@@ -228,7 +229,7 @@ def _declare_presence(content: Configuration, session: Session, incarnation: Inc
 
 
 def _listen(content: Configuration, session: Session, kinds: Sequence[str], inbox: Inbox) -> IngressFilter:
-    """Have all that is meant for the area put into ``inbox``, through the filter that is returned."""
+    """Subscribe to all messages and tokens for the area. They go into ``inbox``; messages pass the returned filter."""
     run, name = content.run, content.area.name
     neighbours = sorted({n.area for n in content.area.neighbours})
     known = {neighbour_key(run, neighbour, kind, name) for neighbour in neighbours for kind in kinds}
@@ -265,20 +266,23 @@ def _publishers(
 
 
 def _put_token(inbox: Inbox, key: str, alive: bool) -> None:
-    """If it is an incarnation's: a stranger's keys may be long, and each takes a slot."""
+    """Put a token into ``inbox`` if it is an incarnation's: a stranger's keys may be long, and each takes a slot."""
     if incarnation_of(key):
         inbox.put(key, _TokenSeen(key, alive))
 
 
 def _put_leave(inbox: Inbox, key: str, payload: bytes) -> None:
-    """In a slot of its own: the end of the token, which follows, must not take its place."""
+    """Put a leave message into a slot of its own: the end of the token, which follows, must not replace it."""
     if incarnation_of(key) and (leave_reason := read_leave(payload)):
         inbox.put(("leave", key), _TokenSeen(key, False, leave_reason))
 
 
 @dataclass
 class _Intake:
-    """What arrives in ``inbox``, as events for the protocol of ``area``; the rest is taken in here."""
+    """Turns the items in ``inbox`` into events for the protocol of ``area``.
+
+    Messages of the clock, renewals and tokens of the area's own name are handled here, and become no events.
+    """
 
     area: str
     session: Session
@@ -290,7 +294,7 @@ class _Intake:
     presence: Presence = field(default_factory=Presence)
 
     def take(self, wait_s: float) -> list[Event]:
-        """What has arrived, after ``wait_s`` at most; the links are opened anew where that is asked for."""
+        """Events that have arrived, after ``wait_s`` at most; opens the links again where a renewal is asked for."""
         updates = self.inbox.take(wait_s)
         self.links.release(time.monotonic())
         if Renewal.ASKED in updates and self.session.interrupt():
@@ -312,7 +316,7 @@ class _Intake:
                     yield PresenceChanged(gone, False)
             case Renewal():
                 pass
-            case _TokenSeen(key, alive) if name_of_live(key)[1] == self.area:  # our own incarnation, or a namesake's
+            case _TokenSeen(key, alive) if name_of_live(key)[1] == self.area:  # of this process or a namesake
                 self.guard.take(key, alive, time.monotonic())
             case _TokenSeen(key, alive, leave_reason):
                 if self.presence.take_leave(key) if leave_reason else self.presence.take(key, alive):

@@ -1,7 +1,8 @@
 """The file of the next split, which lies beside the one in use: ``area1.next.toml`` beside ``area1.toml``.
 
-It is looked for once a second and read on a thread of its own when it has not changed for one look, as copying takes a
-while. The protocol learns of it and says when the area rests on it (``agents/protocol/events.py``, ``Offered``).
+The agent looks for the file once a second. It reads the file on a thread of its own when two looks have found it
+unchanged, as copying takes a while. The protocol learns of the file and tells when the area goes over to it
+(``agents/protocol/events.py``, ``Offered`` and ``GoOver``).
 """
 
 from __future__ import annotations
@@ -25,7 +26,10 @@ Look = tuple[int, int, int] | None  # size, time of the last change in ns, numbe
 
 
 class NextFile:
-    """Of the area of ``content``, whose own file is ``path``; what is found is put into ``inbox``, read by ``load``."""
+    """Watches the next file of the area of ``content``, whose own file is ``path``.
+
+    ``load`` reads the file; its configuration is put into ``inbox`` as ``Offered``.
+    """
 
     def __init__(self, path: Path, content: Configuration, inbox: Inbox, load: Callable[[Path], Configuration]) -> None:
         self.path = path.with_name(f"{path.stem}.next{path.suffix}")
@@ -33,21 +37,21 @@ class NextFile:
         self._content, self._inbox, self._load = content, inbox, load
         self._next_look = 0.0
         self._seen: Look = None  # at the last look
-        self._read: Look = None  # what was read last
-        self._found: tuple[Look, Configuration | None] = (None, None)  # that, and what it holds
+        self._read: Look = None  # of the file that was read last
+        self._found: tuple[Look, Configuration | None] = (None, None)  # the same, and its configuration
 
     def read_at_once(self) -> Configuration | None:
-        """What lies there when the process begins."""
+        """Configuration in the file that lies there when the process begins; None without a usable one."""
         self._seen = self._read = self._look()
         return self._offer() if self._read is not None else None
 
     @property
     def next_due(self) -> float:
-        """When ``look`` has something to do, monotonic time, s."""
+        """Time of the next ``look``, monotonic, s."""
         return self._next_look
 
     def look(self, now: float) -> None:
-        """See whether the file has come, gone or changed, at most once in ``LOOK_S``."""
+        """Look whether the file has come, gone or changed, at most once in ``LOOK_S``; read a changed one."""
         if now < self._next_look:
             return
         self._next_look = now + LOOK_S
@@ -61,9 +65,9 @@ class NextFile:
             threading.Thread(target=self._offer, name="next file", daemon=True).start()
 
     def take_place(self, configuration: Configuration) -> None:
-        """Put the file in the place of the one in use; the area rests on ``configuration`` now, which was read there.
+        """Move the file to the place of the one in use; the area rests on its ``configuration`` now.
 
-        Another file that has come there since stays, and is read as that of the split after.
+        Another file that has come there since stays, and is read as the file of the split after.
         """
         look, found = self._found
         if found is not configuration or look != self._look():
@@ -85,7 +89,7 @@ class NextFile:
         return found.st_size, found.st_mtime_ns, found.st_ino
 
     def _offer(self) -> Configuration | None:
-        """Read the file, and have the protocol learn of it."""
+        """Read the file and offer its configuration to the protocol, or None where it cannot be used."""
         found: Configuration | None = None
         look = self._read
         try:
@@ -99,7 +103,7 @@ class NextFile:
         return found
 
     def _check(self, found: Configuration) -> None:
-        """Raise InvalidInputError if the file is of another area or run, or no running agent can go over to it."""
+        """Raise InvalidInputError if the file is of another area or run, or if this agent cannot go over to it."""
         own = self._content
         pairs = (("area", found.area.name, own.area.name), ("run", found.run, own.run))
         problems = [
@@ -114,7 +118,7 @@ class NextFile:
 
 
 def _find_link_problems(own: Configuration, following: Configuration) -> Iterator[str]:
-    """Which direct links with neighbours ``following`` needs that ``own`` has not opened; a router serves any."""
+    """Problems of direct links that ``following`` needs and ``own`` has not opened; a router serves any neighbours."""
     cure = "direct links open only when an agent starts: replace the files area by area, with restarts"
     if not (own.listen or following.listen):
         return

@@ -1,7 +1,8 @@
 """The place of an area on the bus: a process with an older file does not take it from one with a newer file.
 
 A process that begins later takes the place of one that runs under its name (``duplicate_guard.py``). Where the running
-one has the file of a newer split, the later one was probably started by mistake, and would leave no area good.
+process has the file of a newer split, the later one was probably started by mistake. Its older file would keep every
+area's state from being good.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from agents.runtime.duplicate_guard import ReplacedError, find_overlap_s
 from agents.transport.zenoh_bus import Session
 from dsse_core.split_identity import SplitIdentity
 
-ANSWER_S = 1.0  # within which the bus says who is there
+ANSWER_S = 1.0  # within which the bus answers which tokens are there
 
 
 def take_place(
@@ -25,12 +26,12 @@ def take_place(
     clock: Callable[[], float] = time.monotonic,
     wait: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Wait until no process of the area with a newer file is on the bus; one that was killed is seen for a while.
+    """Wait until no process of the area with a newer file is on the bus; a killed one is seen for a while.
 
-    ``following``: the file of the next split, to which that process may have gone over before it was killed.
+    ``following``: the file of the next split, to which the killed process may have gone over.
 
     Raises:
-        ReplacedError: such a process is there for so long that it runs.
+        ReplacedError: such a process has been there for so long that it must be running.
     """
     over = clock() + find_overlap_s(content.beat_s)
     known = [given.identity for given in (content, following) if given is not None]
@@ -45,7 +46,7 @@ def take_place(
 
 
 def _find_newer(content: Configuration, session: Session, known: Sequence[SplitIdentity]) -> SplitIdentity | None:
-    """The newest split that a process of the area states, where that is newer than those ``known`` here."""
+    """The newest split that a process of the area states, if it is newer than those ``known`` here; else None."""
     own = max(known, key=lambda split: split.age_order)
     tokens = session.find_presence(all_incarnations(content.run, "area", content.area.name), ANSWER_S)
     splits = [split_of(key) for key in tokens if incarnation_of(key)]

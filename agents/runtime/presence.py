@@ -1,8 +1,8 @@
-"""Who is there: every incarnation of a process shows a presence token of its own, which vanishes with it.
+"""Presence of processes: every incarnation shows a presence token of its own, which vanishes with it.
 
-A process that ends in order says so on the key of its token before it goes (``read_leave``); one that dies does
-not. A process that was killed and started again may be there before the bus notices the end of its former incarnation;
-a name is present as long as any of its incarnations is.
+A process that ends in order publishes a leave message on the key of its token first (``read_leave``); one that dies
+does not. A process that was killed and started again may be there before the bus notices the end of its former
+incarnation. A name is present as long as any of its incarnations is.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ LEAVE = re.compile(rb"[A-Za-z0-9 ._-]{1,40}")
 
 
 def read_leave(payload: bytes) -> str:
-    """Why a process says that it goes, in a few words; empty for anything else."""
+    """Reason that a process gives for its end, in a few words; empty for a payload that is no leave message."""
     return payload.decode("ascii") if LEAVE.fullmatch(payload) else ""
 
 
@@ -29,12 +29,12 @@ def begin_incarnation(former: Incarnation | None = None) -> Incarnation:
     return Incarnation(max(start_ms, former.start_ms + 1) if former else start_ms, random.getrandbits(32))
 
 
-MAX_NAMES = 20_000  # that are kept in mind, and
+MAX_NAMES = 20_000  # that are kept, and
 MAX_INCARNATIONS = 100  # of each name: a process that may show tokens may show many
 
 
 class Presence:
-    """Keeps the incarnations of every name whose tokens are there; what is not written as an incarnation is none."""
+    """Incarnations of every name whose tokens are there; keys that are not written as incarnations are ignored."""
 
     def __init__(self) -> None:
         self._incarnations: dict[
@@ -42,7 +42,7 @@ class Presence:
         ] = {}  # role and name -> those whose tokens are there
 
     def copy(self) -> Presence:
-        """One that knows the same, and goes its own way from here."""
+        """An independent copy with the same incarnations."""
         made = Presence()
         made._incarnations = {name: set(incarnations) for name, incarnations in self._incarnations.items()}
         return made
@@ -57,13 +57,13 @@ class Presence:
         return sorted(self._incarnations.get((role, name), ()))
 
     def forget(self) -> list[tuple[str, str]]:
-        """Know of nobody any more; (role, name) of all that were there."""
+        """Forget all tokens; returns (role, name) of all that were there, sorted."""
         names = sorted(self._incarnations)
         self._incarnations.clear()
         return names
 
     def take_leave(self, key: str) -> bool:
-        """Note that the incarnation that shows the token on ``key`` ends; whether its name is gone, now or already.
+        """Note that the incarnation that shows the token on ``key`` ends; True where its name is gone, now or already.
 
         The leave message and the end of the token may overtake each other.
         """
@@ -71,7 +71,10 @@ class Presence:
         return name_of_live(key) not in self._incarnations
 
     def take(self, key: str, alive: bool) -> bool:
-        """Note that the token on ``key`` appeared or vanished; whether its name came, came anew or went with it."""
+        """Note that the token on ``key`` appeared or vanished.
+
+        True where a new incarnation of its name appeared, or the last one of it vanished.
+        """
         name, incarnation = name_of_live(key), incarnation_of(key)
         incarnations = self._incarnations.get(name, set())
         if incarnation is None or (incarnation in incarnations) == alive:

@@ -1,4 +1,4 @@
-"""SIGHUP: take up the keys and rules that are in the files now."""
+"""Renewal of keys and access rules: on SIGHUP a process reads them from their files again."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from dsse_core import operating_system
 
 
 class Renewal(Enum):
-    """What waits in the inbox of a process that got SIGHUP."""
+    """Item in the inbox of a process that got SIGHUP."""
 
     ASKED = "asked"
 
 
 def on_hangup(ask: Callable[[], None], end: Callable[[], None]) -> None:
-    """On SIGHUP call ``ask``, or, if that came because the terminal of this process was closed, ``end``.
+    """Call ``ask`` on SIGHUP, or ``end`` if the signal came because the terminal of this process was closed.
 
-    On a system without SIGHUP nothing happens: new keys are taken up by a restart.
-    Under nohup a closed terminal means nothing, and SIGHUP from others what it means elsewhere.
+    On a system without SIGHUP nothing happens: new keys are taken up by a restart. Under nohup a closed terminal is
+    ignored; later signals call ``ask``.
     """
     if operating_system.HANGUP is None:
         return

@@ -1,4 +1,4 @@
-"""Has the compiled solvers ready in this process, so that what is forked from it shares the machine code."""
+"""Loads the compiled solvers in this process, so that processes forked from it share the machine code."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ NETWORK = Network(
 
 
 def warm_up() -> None:
-    """Go once through all that an area with a parent and a child computes on its tree, and note where it is kept: with
-    the reference seen, too, away from the child.
+    """Go once through all computations of an area with a parent and a child on its tree, also with the reference in the
+    area, and note where their code is kept.
     """
     area = build_partition(NETWORK, {"up": [1, 2], "here": [2, 3], "down": [3, 4]}).area("here")
     kinds = (MeasurementKind.VM, MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
@@ -58,7 +58,7 @@ def warm_up() -> None:
 
 
 def warm_up_estimate() -> None:
-    """Go once through estimate and bad data of a whole radial network, and note where all of it is kept."""
+    """Go once through estimate and bad data of a whole radial network, and note where their code is kept."""
     flow = solve_power_flow(NETWORK)
     meters = [Meter(MeasurementKind.VM, bus.id) for bus in NETWORK.buses]
     meters += [Meter(kind, bus.id) for bus in NETWORK.buses for kind in MeasurementKind if kind.of_injection]
@@ -72,7 +72,7 @@ def warm_up_estimate() -> None:
 
 
 def warm_up_batches() -> None:
-    """Go once through many power flows and estimates at once, and through one of a forked network on two threads."""
+    """Go once through batches of power flows and estimates of a forked network, and one estimate on two threads."""
     first, second, _ = NETWORK.branches
     forked = replace(NETWORK, branches=(first, second, replace(second, id="2-4", to_bus=4)))
     n, kinds = len(forked.buses), (MeasurementKind.VM, MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)

@@ -1,6 +1,6 @@
-"""What a process reports to systemd (sd_notify): that it is ready, and from its loop that the loop goes on.
+"""Reports of a process to systemd (sd_notify): that it is ready, and from its loop that the loop goes on.
 
-A loop that is stuck says nothing, and systemd restarts the process after ``WatchdogSec`` of its unit.
+A stuck loop reports nothing, and systemd restarts the process after ``WatchdogSec`` of its unit.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 
 PINGS = 4  # in the time after which systemd would restart the process
-COMPILING_US = 900 * 10**6  # for which the loop may stand still, or the start last on, while solvers are compiled
+COMPILING_US = 900 * 10**6  # for which the loop may stand still, or the start may last, while solvers are compiled
 
 
 class Watchdog:
@@ -27,14 +27,14 @@ class Watchdog:
         self._next_ping = float("inf")
 
     def ready(self, now: float) -> None:
-        """Say that the process does its work from now on; ``now``: s, of the monotonic clock."""
+        """Report that the process does its work from now on; ``now``: s, of the monotonic clock."""
         self._is_ready = True
         self._notify("READY=1")
         if self._limit_us:
             self._next_ping = now
 
     def ping(self, now: float) -> float:
-        """Called by the loop each time it goes on: report it if it is time to; how long the loop may wait, s."""
+        """Report that the loop goes on, if a report is due; returns how long the loop may wait, s."""
         if now >= self._next_ping:
             self._notify("WATCHDOG=1")
             self._next_ping = now + self._limit_us * 1e-6 / PINGS
@@ -48,7 +48,7 @@ class Watchdog:
             self._notify(f"WATCHDOG_USEC={max(self._limit_us, COMPILING_US) if begins else self._limit_us}")
 
     def _notify(self, text: str) -> None:
-        """A service manager that does not listen changes nothing."""
+        """Send ``text`` to the service manager, if there is one; errors are ignored."""
         if self._address:
             with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sent:
                 sent.sendto(text.encode(), self._address)

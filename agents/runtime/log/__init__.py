@@ -1,1 +1,1 @@
-"""What a process writes into its log, and how."""
+"""The log of a process: its content and its format."""

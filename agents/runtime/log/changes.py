@@ -1,6 +1,6 @@
-"""An agent's log of what its area works with: each fact when it begins and when it ends to hold, not in every scan.
+"""An agent's log of facts about its area: each fact when it begins and when it ends to hold, not in every scan.
 
-A fact that changes all the time is logged ever more rarely, in the end once a day: a log of months stays short, and the
+A fact that changes all the time is logged ever more rarely, in the end once a day, so a log of months stays short. The
 change of a fact that was the same for a day is logged at once.
 """
 
@@ -12,14 +12,17 @@ from dataclasses import dataclass
 from agents.protocol.events import Conclude
 
 log = logging.getLogger(__name__)
-FIRST_WAIT_S = 10.0  # after a change was logged, until the next one of the same fact is; doubled each time, up to
+FIRST_WAIT_S = 10.0  # from one logged change of a fact to the next of the same fact; doubled each time, up to
 LONGEST_WAIT_S = 86_400.0
 MOST_KEPT = 20_000  # facts that are kept: two of each meter of a large area
 
 
 @dataclass(slots=True)
 class _Fact:
-    """Whether it ``holds``, since when that is so, and what the log says of it; before ``free_at`` it says no more."""
+    """State of a fact: whether it ``holds``, ``since`` when, and whether the log says so (``is_logged``).
+
+    Its changes are not logged before ``free_at``; ``wait_s``: pause after the next logged change, s.
+    """
 
     holds: bool
     since: float
@@ -29,13 +32,13 @@ class _Fact:
 
 
 class ChangeLog:
-    """Writes the ends of scans in which something has changed that may be logged."""
+    """Logs the end of a scan where a fact has changed and may be logged."""
 
     def __init__(self) -> None:
         self._facts: dict[tuple[str, str], _Fact] = {}
 
     def take(self, end: Conclude, now: float) -> None:
-        """What holds at an end; ``now``: monotonic time, s."""
+        """Take in the facts at the end of a scan, and log the end where one has changed; ``now``: monotonic time, s."""
         for name in end.facts:
             self._facts.setdefault(name, _Fact(False, now))
         changed = [name for name, fact in self._facts.items() if _has_changed(fact, name in end.facts, now)]
@@ -50,14 +53,14 @@ class ChangeLog:
         self._forget(now)
 
     def _forget(self, now: float) -> None:
-        """Those that have been away for the longest, beyond ``MOST_KEPT``."""
+        """Drop facts beyond ``MOST_KEPT``: first those that have not held for the longest time."""
         if len(self._facts) > MOST_KEPT:
             kept = sorted(self._facts.items(), key=lambda item: (not item[1].holds, now - item[1].since))
             self._facts = dict(kept[:MOST_KEPT])
 
 
 def _has_changed(fact: _Fact, holds: bool, now: float) -> bool:
-    """Note whether it ``holds``; whether the log says otherwise, and may be corrected."""
+    """Note whether the fact ``holds``; True where the log says otherwise, and may be corrected at ``now``."""
     if holds != fact.holds:
         if now - fact.since >= LONGEST_WAIT_S:
             fact.wait_s = FIRST_WAIT_S
