@@ -1,1 +1,1 @@
-"""Who may publish: keys, certificates and access rules."""
+"""Security of the bus: keys, certificates, and access rules of publishers and subscribers."""

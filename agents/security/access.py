@@ -1,7 +1,7 @@
-"""Access rights: what each certificate may publish, show and receive, and the same as Zenoh's access control.
+"""Access rights: keys that each certificate may publish on, show and receive; the same as Zenoh's access control.
 
-Every process applies this to every link of its own, whichever end called: the common name of the certificate at the
-other end says who that is, not the place where it was found, and everything that is not allowed here is rejected.
+Every process applies these rights to every link of its own, whichever end called. The common name of the certificate,
+not the address, identifies the process at the other end. Everything that is not allowed here is rejected.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from dsse_core.reading_rules import ANYBODY
 
 ROUTER, PLANT, COORDINATOR, OPERATOR, WATCHER = "router", "plant", "coordinator", "operator", "watcher"
 ROLES = (ROUTER, PLANT, COORDINATOR, OPERATOR, WATCHER)
-GATEWAY_ = "gateway-"  # by what the common names of gateways begin
+GATEWAY_ = "gateway-"  # beginning of the common names of gateways
 SECOND_ROUTER = f"{ROUTER}2"  # with the certificate of a router, too
 ROUTERS = (ROUTER, SECOND_ROUTER)
 EVERY_MESSAGE = (
@@ -55,7 +55,7 @@ REVOKED = "/revoked"  # a rule's name that is no area's
 
 @dataclass(frozen=True)
 class Access:
-    """All that decides who may publish in ``run``.
+    """Facts from which the rights of all processes in ``run`` follow.
 
     ``neighbours``: area -> its neighbours. ``revoked``: names whose keys are in wrong hands. ``gateways``: gateway ->
     the areas to which it may send readings; the plant may to all, unless it stands there as ``plant``.
@@ -85,7 +85,11 @@ class Access:
         return tuple(g for g in dict.fromkeys((PLANT, *self.gateways)) if area in self.areas_of(g))
 
     def met_directly_by(self, name: str) -> tuple[str, ...]:
-        """Whom ``name`` links with where there is no router: a gateway with its areas, a watcher with all."""
+        """Names of the processes that ``name`` links with where there is no router.
+
+        An area links with its neighbours, its gateways, plant, coordinator, operator and watcher; a gateway with its
+        areas; each of the others with all areas.
+        """
         if name not in self.neighbours:
             gateway = self.gateways_by_name.get(name)
             return tuple(self.neighbours) if gateway is None else self.areas_of(gateway)
@@ -94,7 +98,7 @@ class Access:
 
 
 def find_name_problems(access: Access) -> Iterator[str]:
-    """Areas whose certificate would be another process's too, and gateways of areas that there are not."""
+    """Areas whose certificate would have the name of another process, and gateways of areas that do not exist."""
     for name, count in Counter(access.names).items():
         if count > 1:
             yield f"neighbours: no area can be called {name!r}, as another process is; name the area otherwise"
@@ -106,7 +110,7 @@ def find_name_problems(access: Access) -> Iterator[str]:
 
 @dataclass(frozen=True, slots=True)
 class Rights:
-    """What one certificate may do; every entry is a key expression.
+    """Rights of one certificate; every entry is a key expression.
 
     Args:
         publishes: messages that it may send.
@@ -114,7 +118,7 @@ class Rights:
         subscribes: subscriptions that it may make.
         receives: messages that are handed to it.
         sees: presence tokens that it may watch, and receive leave messages on.
-        is_received_by: subscriptions of others that it gets, so that it knows that somebody listens.
+        is_received_by: subscriptions of other processes that it gets, so that it knows of its receivers.
     """
 
     publishes: tuple[str, ...]
@@ -126,7 +130,7 @@ class Rights:
 
 
 def find_rights(access: Access) -> dict[str, Rights]:
-    """Common name -> its rights, of all but routers: they pass on what others publish."""
+    """Common name -> its rights, of all but routers: they pass on the messages of others."""
     return {
         PLANT: _rights_of_plant(access),
         COORDINATOR: _rights_of_coordinator(access),
@@ -171,7 +175,7 @@ def _rights_of_plant(access: Access) -> Rights:
 
 
 def _rights_of_gateway(access: Access, gateway: str) -> Rights:
-    """It also gets the states of its areas, to pass the results on."""
+    """Rights of ``gateway``, which also receives the states of its areas, to pass the results on."""
     run, areas, own_tokens = access.run, access.areas_of(gateway), all_incarnations(access.run, "gateway", gateway)
     return Rights(
         publishes=(*(telemetry_key(run, area, gateway) for area in areas), gateway_key(run, gateway)),
@@ -220,8 +224,8 @@ def _for_watchers(access: Access) -> tuple[str, ...]:
 def zenoh_access_control(access: Access, meets: Iterable[str]) -> dict[str, Any]:
     """The rules for links with ``meets`` as Zenoh's configuration ``access_control``: what is not allowed is rejected.
 
-    A link with anybody else, or with a revoked name, may be there, and nothing passes. What revoked names alone may
-    publish is rejected, also where another process passes it on.
+    A link with another name, or with a revoked one, may open, and nothing passes on it. Messages and tokens on the
+    keys of revoked names are rejected, also where another process passes them on.
     """
     names = [name for name in meets if name not in access.revoked]
     rights = find_rights(access)
@@ -242,15 +246,16 @@ def zenoh_access_control(access: Access, meets: Iterable[str]) -> dict[str, Any]
 
 
 def zenoh_access_control_without_keys(access: Access) -> dict[str, Any]:
-    """The rules of a router that knows who takes part in a run, and nobody's key: anybody may publish and subscribe to
-    what some process of the run may. What anybody announces under other names ends at this link, before the router
-    notes it.
+    """The rules of a router without keys that knows the processes of a run.
+
+    Any process may publish on, and subscribe to, the keys of all processes of the run. Messages and tokens under other
+    names are rejected at the link, before the router notes them.
     """
     rights = find_rights(access).values()
     published = {key: None for r in rights for key in (*r.publishes, *map(of_any_version, r.shows))}
     subscribed = {key: None for r in rights for key in (*r.subscribes, *r.sees)}
     published |= dict.fromkeys(of_any_version(state_key(access.run, area)) for area in access.neighbours)
-    # of watchers without keys, which name programs of other versions
+    # for watchers without keys, which name programs of other versions
     every_version = map(of_any_version, (all_live(access.run), all_states(access.run), all_states("*")))
     rules = [
         _rule("published", "allow", ("ingress",), ("put", "liveliness_token"), tuple(published)),
@@ -284,7 +289,7 @@ def _rules_of_router(access: Access) -> list[dict[str, Any]]:
 
 
 def _table(rights: Rights) -> tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...]:
-    """(from or to the certificate's owner, kinds of message, key expressions)"""
+    """Rows (flow from or to the certificate's owner, kinds of message, key expressions)."""
     return (
         ("ingress", ("put",), rights.publishes),
         ("ingress", ("liveliness_token", "put"), rights.shows),

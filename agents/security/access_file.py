@@ -1,4 +1,4 @@
-"""The access file: who is whose neighbour, as TOML, beside the keys of everybody; `dsse keys create` writes it."""
+"""The access file: the neighbours and gateways of all areas, as TOML beside all keys; `dsse keys create` writes it."""
 
 from __future__ import annotations
 
@@ -36,10 +36,11 @@ def save_access(path: Path, access: Access) -> None:
 
 
 def load_access(path: Path) -> Access:
-    """Read and check what ``save_access`` wrote.
+    """Read and check an access file, as ``save_access`` writes it.
 
     Raises:
-        InvalidInputError: naming the file and every unknown, missing or impossible key.
+        InvalidInputError: naming the file and every unknown, missing or impossible key, and a file that other users
+            may change.
     """
     table = load_strict(path, AccessTable)
     problems = []

@@ -1,4 +1,4 @@
-"""What is wrong with the files of a process's credentials, and why another process rejects them."""
+"""Checks of the files of a process's credentials, and the reason why another process rejects them."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from agents.security.credential_files import Credentials, find_mode_problems
 from dsse_core.files.bounded_file import LARGEST_PEM, read_bounded
 
-PROBE_S = 5.0  # time for a handshake that only asks why there is no connection
+PROBE_S = 5.0  # time for a handshake that only finds the reason of a missing link
 
 
 def find_credential_problems(credentials: Credentials, listens: bool) -> list[str]:
-    """Every problem: which file, what was found, what to do. ``listens``: others call the process, too."""
+    """Every problem: the file, what was found, what to do. ``listens``: other processes call this one, too."""
     now = datetime.datetime.now(datetime.UTC)
     problems: list[str] = []
     authorities = _read_certificates(credentials.authority, problems)
@@ -51,7 +51,7 @@ def find_credential_problems(credentials: Credentials, listens: bool) -> list[st
 
 
 def find_pair_problems(certificate: Path, key: Path) -> list[str]:
-    """Every problem of a server's own certificate, whoever issued it, and its key."""
+    """Every problem of a server's own certificate and its key; the issuer is not checked."""
     now = datetime.datetime.now(datetime.UTC)
     problems: list[str] = []
     chain, private = _read_certificates(certificate, problems), _read_key(key, problems)
@@ -135,7 +135,7 @@ def _is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) ->
 
 
 def _leads_to(chain: Sequence[x509.Certificate], authorities: Sequence[x509.Certificate]) -> bool:
-    """Whether the first of ``chain``, or one that each up to it was issued by, was issued by one of ``authorities``."""
+    """True where one of ``authorities`` issued the first of ``chain``, or a later one to which the issuers lead."""
     for k, one in enumerate(chain):
         if any(_is_issued_by(one, authority) for authority in authorities):
             return True
@@ -145,9 +145,9 @@ def _leads_to(chain: Sequence[x509.Certificate], authorities: Sequence[x509.Cert
 
 
 def explain_rejection(endpoint: str, credentials: Credentials) -> str:
-    """Why ``endpoint`` (``tls/HOST:PORT``) and we do not come together, in words; empty if unknown.
+    """Reason why there is no link with ``endpoint`` (``tls/HOST:PORT``), in words; empty if unknown.
 
-    Zenoh says only that time is up. A handshake of our own shows what the other side, or we, object to.
+    Zenoh reports only a timeout. A handshake outside Zenoh shows the objection of the other side, or of this one.
     """
     host, _, port = endpoint.partition("/")[2].rpartition(":")
     try:
@@ -174,5 +174,5 @@ def explain_rejection(endpoint: str, credentials: Credentials) -> str:
 
 
 def read_validity(path: Path) -> list[tuple[datetime.datetime, datetime.datetime]]:
-    """From when to when each certificate in ``path`` is valid; nothing if none can be read."""
+    """(begin, end) of the validity of each certificate in ``path``; empty if none can be read."""
     return [(c.not_valid_before_utc, c.not_valid_after_utc) for c in _read_certificates(path, [])]

@@ -1,4 +1,4 @@
-"""Files of keys on the disk: who may read and change them, whatever the umask says, from their first byte on."""
+"""Files of keys on the disk, with access rights that do not depend on the umask, from their first byte on."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PRIVATE_FILE, PUBLIC_FILE, PRIVATE_FOLDER = 0o600, 0o644, 0o700
 
 @dataclass(frozen=True, slots=True)
 class Credentials:
-    """Files in PEM: ``authority`` is whom to believe, ``certificate`` and ``key`` are one's own."""
+    """Files in PEM of process ``name``: its ``certificate`` and ``key``, and the ``authority`` that it trusts."""
 
     name: str
     authority: Path
@@ -24,12 +24,12 @@ class Credentials:
 
 
 def credentials_in(folder: Path, name: str) -> Credentials:
-    """Where the credentials of process ``name`` are in ``folder``, whether or not they are there."""
+    """Paths of the credentials of process ``name`` in ``folder``; the files need not exist."""
     return Credentials(name, folder / f"{AUTHORITY}.crt", folder / f"{name}.crt", folder / f"{name}.key")
 
 
 def make_private_folder(folder: Path) -> None:
-    """Make ``folder`` and what is missing above it for this user alone; one that is there becomes so.
+    """Make ``folder``, and missing folders above it, for this user alone; an existing ``folder`` becomes private.
 
     Raises:
         OSError: it cannot be made, or is another user's.
@@ -37,7 +37,7 @@ def make_private_folder(folder: Path) -> None:
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
     for place in reversed(missing):
         place.mkdir(mode=PRIVATE_FOLDER, exist_ok=True)
-        place.chmod(PRIVATE_FOLDER)  # where a umask took away what the owner needs
+        place.chmod(PRIVATE_FOLDER)  # a umask may have removed rights of the owner
     folder.chmod(PRIVATE_FOLDER)
 
 
@@ -47,7 +47,7 @@ def write_private(path: Path, content: bytes) -> None:
 
 
 def write_public(path: Path, content: bytes) -> None:
-    """Write a file that everybody may read and only this user changes."""
+    """Write a file that all users may read and only this user may change."""
     _write(path, content, os.O_TRUNC, PUBLIC_FILE)
 
 
@@ -58,7 +58,7 @@ def _write(path: Path, content: bytes, flag: int, mode: int) -> None:
 
 
 def find_mode_problems(path: Path, private: bool = False) -> list[str]:
-    """Why ``path`` is not safe from the other users of this host; ``private``: nor from their eyes."""
+    """Rights by which users outside the file's group may change ``path``; ``private``: or read it."""
     mode = stat.S_IMODE(path.stat().st_mode)
     if private and mode & 0o007:
         return [f"{path}: anybody on this host may read or change this private key; chmod o-rwx {path}"]

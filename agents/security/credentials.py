@@ -1,4 +1,4 @@
-"""What a process with keys shows on the bus, whom it believes, and what it lets pass on its links.
+"""Keys of a process: its certificate, the authority that it trusts, and the access rules of its links.
 
 A folder of keys holds ``access.toml`` and, in PEM, ``authority.crt`` and for each process named NAME that runs here
 ``NAME.crt`` (common name NAME; the authorities between it and ``authority.crt`` may follow in it) and ``NAME.key``.
@@ -19,7 +19,7 @@ from dsse_core.errors import InvalidInputError
 class Keys:
     """The credentials of a process and the rules of its run, which it applies to all its links.
 
-    ``listens``: whether others call this process.
+    ``listens``: True where other processes call this one.
     """
 
     folder: Path
@@ -29,11 +29,11 @@ class Keys:
 
     @property
     def credentials(self) -> Credentials:
-        """Where one's own files are."""
+        """Paths of the process's own files."""
         return credentials_in(self.folder, self.name)
 
     def load_anew(self) -> Keys:
-        """The same from the files as they are now.
+        """The same keys, read again from the files.
 
         Raises:
             InvalidInputError: as ``load_keys``.
@@ -44,17 +44,17 @@ class Keys:
 def load_keys(folder: Path | None, name: str, run: str | None = None, *, listens: bool = False) -> Keys | None:
     """The keys of process ``name`` in ``folder``, checked as far as they can be without the bus; None without.
 
-    ``run``: to apply the rules to, instead of the run that the access file names.
+    ``run``: the rules apply to it, instead of the run that the access file names.
 
     Raises:
         InvalidInputError: for each file that is missing, unreadable, expired, another process's or another
-            authority's, what was found and what to do; or the rules deny ``name`` everything.
+            authority's, what was found and what to do; or ``name`` is revoked.
     """
     return None if folder is None else _load(folder, name, run, listens)
 
 
 def _load(folder: Path, name: str, run: str | None, listens: bool) -> Keys:
-    from agents.security.access_file import ACCESS_FILE, load_access  # without keys nobody waits for it
+    from agents.security.access_file import ACCESS_FILE, load_access  # a process without keys does not wait for it
 
     check_credentials(folder, [name], [name] if listens else [])
     access = load_access(folder / ACCESS_FILE)
@@ -69,9 +69,9 @@ def _load(folder: Path, name: str, run: str | None, listens: bool) -> Keys:
 def check_credentials(folder: Path, names: Sequence[str], listeners: Collection[str]) -> None:
     """Raise the InvalidInputError of ``load_keys`` with the problems of the files of all processes ``names``.
 
-    ``listeners``: those of them that others call.
+    ``listeners``: those of ``names`` that other processes call.
     """
-    from agents.security.certificate_checks import find_credential_problems  # without keys nobody waits for it
+    from agents.security.certificate_checks import find_credential_problems  # not needed without keys
 
     problems = [
         problem

@@ -10,16 +10,16 @@ from agents.security.credential_files import Credentials
 
 log = logging.getLogger(__name__)
 AHEAD = datetime.timedelta(days=30)
-SHARE = 3  # one that is made for a short time ends soon in its last third only
+SHARE = 3  # a certificate with a short life ends soon only in its last third
 DAY_S = 86400.0
 
 
 def describe_expiry(credentials: Credentials, now: datetime.datetime) -> list[str]:
-    """Which of the certificates in ``credentials`` end soon, and what to do; nothing of what cannot be read.
+    """Sentences about the certificates in ``credentials`` that end soon, and what to do; unreadable ones are left out.
 
     ``now``: with its time zone.
     """
-    from agents.security.certificate_checks import read_validity  # without keys nobody waits for it
+    from agents.security.certificate_checks import read_validity  # not needed without keys
 
     lines = []
     for path in (credentials.authority, credentials.certificate):
@@ -33,7 +33,7 @@ def describe_expiry(credentials: Credentials, now: datetime.datetime) -> list[st
 
 
 class ExpiryWatch:
-    """Logs now and every day what of ``credentials`` ends soon, until ``stop``."""
+    """Logs now and every day the certificates of ``credentials`` that end soon, until ``stop``."""
 
     def __init__(self, credentials: Credentials) -> None:
         self._credentials = credentials

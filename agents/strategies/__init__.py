@@ -1,4 +1,4 @@
-"""Strategies: what an area makes of what it knows, and what it sends its neighbours. With what yours needs."""
+"""Strategies: estimates of an area from its knowledge, and messages to its neighbours. With all names for your own."""
 
 from agents.messages.checks import Count, Integer, Name, Names, Number, Numbers
 from agents.messages.types import BoundaryUpdate, Header

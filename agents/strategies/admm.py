@@ -1,8 +1,8 @@
 """``admm``: consensus ADMM (``dsse_core.exchange``), for comparison; its fixed point is the centralised estimate.
 
-An area waits for those of its neighbours whose turn it is, takes one step on its own telemetry and what its
-boundaries pull it to, and sends the neighbours the result (``admm_boundary``). Load messages and the local power flow
-only start the iteration.
+An area waits for those of its neighbours whose turn it is, takes steps on its own telemetry and the pulls of its
+boundaries, and sends the neighbours the result (``admm_boundary``). Load messages and the local power flow only start
+the iteration.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BEYOND_REASON, EXACT_SIGMA
 
 MOST_STEPS = 50  # between two messages
-LARGEST_R = np.array([1e6, 1e6, 1e3, 1e3])  # by kind, p.u. and rad; from farther z would not come back with all digits
+LARGEST_R = np.array([1e6, 1e6, 1e3, 1e3])  # by kind, p.u. and rad; a larger r would cost z some of its digits
 SETTLED = 1e-6  # p.u., rad: a last step below it shows the end
 
 
@@ -48,7 +48,7 @@ class Admm(Strategy):
             self._take_measurements(known)
         changed |= self._receive(known)
         boundaries = list(self._boundaries.values())
-        # Stepping at other boundaries meanwhile takes more messages and no less time. Who is gone is not waited for.
+        # Steps at other boundaries meanwhile take more messages and no less time. No wait for absent ones.
         waits = any(b.is_owed for b in boundaries if b.neighbour.area in known.present)
         for _ in range(MOST_STEPS):
             stepped = [] if waits else [b for b in boundaries if b.step(self._y(b))]
@@ -99,7 +99,7 @@ class Admm(Strategy):
         return self._area.reference is not None or angle_meters
 
     def _take_measurements(self, known: Knowledge) -> None:
-        """A new scan: state and iterations so far are its start, unless they are farther from it than none at all."""
+        """Begin a new scan: state and iterations so far are its start, unless a flat start is closer to readings."""
         reference = self._area.reference[0] if self._area.reference else None
         if self._model is not None:
             self._model.end()
@@ -115,10 +115,10 @@ class Admm(Strategy):
             b.weight = compute_weight(model, self._x, b.neighbour)
 
     def _receive(self, known: Knowledge) -> bool:
-        """Take in the newest messages; whether what they say beside r changes how the area is pulled.
+        """Take in the newest messages; True where their fields beside r change the pull on the area.
 
-        The first message of a boundary is one of the scan: an iteration that went astray may have ended with the one
-        before.
+        The first message of a boundary must be of the current scan: an iteration that went astray may have ended with
+        the scan before.
         """
         before = [b.terms for b in self._boundaries.values()]
         messages = {name: m for name, m in known.boundary.items() if isinstance(m, AdmmMessage)}
@@ -130,13 +130,13 @@ class Admm(Strategy):
         return before != [b.terms for b in self._boundaries.values()]
 
     def _take_step(self) -> None:
-        """One Gauss-Newton step on the own J plus all pulls: solving to the end each time saves no message."""
+        """Take one Gauss-Newton step on the own J plus all pulls; solving to the end each time saves no message."""
         assert self._model is not None
         pulls = {}
         for name, b in self._boundaries.items():
             if (pulled := b.pull(self._content.penalty)) is not None:
                 pulls[name] = pulled
-            if (angle := b.angle_to_follow) is not None:  # turned at once: meters see no difference
+            if (angle := b.angle_to_follow) is not None:  # all angles turn at once: meters see no difference
                 self._x[: len(self._area.network.buses)] += angle - self._y(b)[b.is_angle][0]
         dx = solve_damped_step(self._model, self._x, pulls)
         self._x, self._moved = self._x + dx, float(abs(dx).max(initial=0.0))
@@ -176,6 +176,6 @@ class Admm(Strategy):
 
 
 def _distance(model: AreaModel, x: np.ndarray) -> float:
-    """From the readings, which is J without the virtual measurements; infinity for an ``x`` beyond all numbers."""
+    """Distance of ``x`` from the readings: J without the virtual measurements; infinity if it is not a number."""
     weighted = (model.residual(x) / model.sigma)[~model.virtual]
     return float(np.nan_to_num(weighted @ weighted, nan=np.inf))

@@ -1,13 +1,13 @@
-"""The iteration at one boundary of strategy ``admm``: whose turn it is, what is taken in, what is sent.
+"""The iteration at one boundary of strategy ``admm``: turns of the two sides, received and sent variables.
 
-A boundary's iterations are counted by both its sides. A side goes on to iteration k + 1 when it has sent and received
-iteration k, or when the other side is there already; so each side uses every r of the other exactly once, whatever
-is lost, repeated or overtaken: a message carries this r and the one before, and the two sides are never further
-apart than that. A side that is, because it has restarted, goes on from what it receives: the fixed point does not
-depend on how it was reached.
+Both sides of a boundary count its iterations. A side goes on to iteration k + 1 when it has sent and received
+iteration k, or when the other side is there already. So each side uses every r of the other exactly once, even if
+messages are lost, repeated or overtaken: a message carries this r and the one before, and the two sides are never
+further apart than that. A side that is further apart, because it has restarted, goes on from the r it receives: the
+fixed point does not depend on the way to it.
 
-Of two sides that are at the same iteration the owner goes first, and then each message is an answer that brings the
-next step along: half as many messages as when both send at a time, and no longer a way.
+Of two sides at the same iteration the owner goes first. Then each message is an answer that brings the next step
+along. This takes half as many messages as when both sides send at the same time, and no more time.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from dsse_core.grid.boundary import Boundary, Kind, boundary_of, find_wrong_name
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.boundary_information import BoundaryInformation
 
-MOVED = 1e-10  # p.u., rad: what of z or r is worth another iteration
+MOVED = 1e-10  # p.u., rad: a larger change of z or r is worth another iteration
 
 
 @dataclass(frozen=True, slots=True)
 class AdmmMessage(BoundaryUpdate):
-    """What the sender states in its ``iteration`` at a boundary: ``r = 2 y - z`` of its d ``variables`` y.
+    """Message of the sender's ``iteration`` at a boundary: ``r = 2 y - z`` of its d ``variables`` y.
 
-    ``r_before``: that of the iteration before, should its message have been lost. ``weight``: the sender's own
-    information about each of y, which the penalty is a multiple of. ``referenced``: the sender's side knows the
-    substation's angle.
+    ``r_before``: r of the iteration before, in case its message was lost. ``weight``: the sender's own information
+    about each of y; the penalty is a multiple of it. ``unsettled``: the sender's z still moved in the step to
+    ``iteration``. ``referenced``: the sender's side knows the substation's angle.
     """
 
     kind: ClassVar[str] = "admm"
@@ -48,7 +48,7 @@ class AdmmMessage(BoundaryUpdate):
     referenced: bool
 
     def find_misfit(self) -> str:
-        """What fields cannot be together; empty if they can."""
+        """Sentence about names or lengths that contradict each other; empty if all fit."""
         if wrong := find_wrong_name(self.variables):
             return wrong
         boundary = boundary_of(self.variables)
@@ -62,10 +62,10 @@ class AdmmMessage(BoundaryUpdate):
 class BoundaryIteration:
     """One side of the ``boundary`` to ``neighbour``, with d variables y.
 
-    ``k``: number of the iteration. ``z`` (d,): what y is pulled to, None before anything is received. ``sent``,
-    ``sent_before`` (d,): r of iterations k and k - 1. ``weight`` (d,): the area's own information about y.
-    ``angle_known``: whether this side, without the neighbour, knows the substation's angle.
-    ``unsettled``: whether z was still moving in the step to iteration k.
+    ``k``: number of the iteration. ``z`` (d,): the target that y is pulled to, None before anything is received.
+    ``sent``, ``sent_before`` (d,): r of iterations k and k - 1. ``weight`` (d,): the area's own information about y.
+    ``angle_known``: True where this side, without the neighbour, knows the substation's angle.
+    ``unsettled``: True where z still moved in the step to iteration k.
     """
 
     def __init__(self, neighbour: Neighbour, boundary: Boundary) -> None:
@@ -79,27 +79,27 @@ class BoundaryIteration:
         self.z: np.ndarray | None = None
         self.sent = self.sent_before = np.zeros(boundary.d)
         self.unsettled = True
-        self._defers = False  # to the owner, which knows that it is to go first
+        self._defers = False  # to the owner, the parent, which goes first
 
     @property
     def angle_received(self) -> bool:
-        """Whether the neighbour's side knows the substation's angle; if not, the boundary's is none of its business."""
+        """True where the neighbour's side knows the substation's angle; else the boundary's angle exerts no pull."""
         return self.received is not None and self.received.referenced
 
     @property
     def angle_to_follow(self) -> float | None:
-        """The boundary's angle where only the neighbour's side knows it: then it is taken, not negotiated."""
+        """The boundary's angle where only the neighbour's side knows it: the area takes it over. None elsewhere."""
         follows = self.angle_received and not self.angle_known
         return float(self.z[self.is_angle][0]) if follows and self.z is not None else None
 
     @property
     def terms(self) -> tuple[object, ...]:
-        """What the pull depends on beside z."""
+        """Terms of the pull beside z."""
         return (self.weight.tolist(), self.received and self.received.weight, self.angle_received, self.angle_known)
 
     @property
     def is_owed(self) -> bool:
-        """Whether it is the turn of the neighbour, which has sent before."""
+        """True where it is the turn of the neighbour, which has sent before."""
         return self.received is not None and self.received.iteration < self.k + self._defers
 
     def pull(self, penalty: float) -> BoundaryInformation | None:
@@ -110,7 +110,7 @@ class BoundaryIteration:
         return pull(np.where(self.is_angle & (not self.angle_received), 0.0, M), self.z)
 
     def step(self, y: np.ndarray) -> bool:
-        """Go on to the next iteration, if it is this side's turn and worth it; ``y`` (d,): the area's at present."""
+        """Go on to the next iteration, if it is this side's turn and worth it; True if so. ``y`` (d,): of the area."""
         if self.received is None or self.is_owed:
             return False
         ahead = self.received.iteration - self.k
@@ -127,11 +127,11 @@ class BoundaryIteration:
         return True
 
     def set_sent(self, y: np.ndarray) -> None:
-        """Settle what is sent of this iteration, for which the area has found ``y`` (d,)."""
+        """Set r of this iteration, for which the area has found ``y`` (d,)."""
         self.sent_before, self.sent = self.sent, self._reflect(y)
 
     def note_sent(self) -> None:
-        """What is sent is on its way."""
+        """Note that r is on its way; a child whose z still moved then waits for its parent, the owner."""
         self._defers = self.unsettled and self.neighbour.is_parent
 
     def _distance(self, a: np.ndarray, b: np.ndarray) -> float:

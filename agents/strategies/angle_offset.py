@@ -33,8 +33,9 @@ CHANGE = 1e-9  # p.u., rad
 
 @dataclass(frozen=True, slots=True)
 class BoundaryMessage(BoundaryUpdate):
-    """The sender's corrected state at a boundary bus, p.u. and rad; ``referenced``: its angle counts from the
-    substation.
+    """The sender's corrected state at a boundary bus, p.u. and rad.
+
+    ``referenced``: the angle counts from the substation.
     """
 
     kind: ClassVar[str] = "boundary"
@@ -76,9 +77,11 @@ class AngleOffset(Strategy):
 
     @classmethod
     def local_meters(cls, area: Area, own: Sequence[Meter]) -> list[Meter]:
-        """At boundary buses the load messages, P and Q pseudo-measurements, stand in for injection meters; an area
-        without voltage meter gets its local slack voltage as a pseudo-measurement. Only the substation's area uses
-        angle meters.
+        """Meters of the local estimate: ``own`` ones and pseudo-measurements.
+
+        At boundary buses the load messages, P and Q pseudo-measurements, stand in for injection meters. An area without
+        voltage meter gets its local slack voltage as a pseudo-measurement. Only the substation's area uses angle
+        meters.
         """
         kind = MeasurementKind
         boundary = area.boundary_buses
@@ -112,7 +115,7 @@ class AngleOffset(Strategy):
         )
 
     def _estimate(self, known: Knowledge, slack_vm: float | None) -> tuple[Estimate | None, tuple[str, ...]]:
-        """Steps (a) to (c), angles relative to the local slack bus; None where telemetry alone is too little."""
+        """Steps (a) to (c), angles relative to the local slack bus; None where the measurements allow no estimate."""
         loads = boundary_loads(self._area, known.loads, self._content.load_error)
         silent = [n.area for n in self._area.neighbours if n.area not in known.loads]
         notes = [f"no load message from {name} yet" for name in silent]
@@ -148,16 +151,16 @@ class AngleOffset(Strategy):
         return _as_estimate(report), tuple(notes)
 
     def _reference(self) -> tuple[int, float]:
-        """Bus and angle that local angles count from: the substation's, elsewhere 0 at the local slack bus."""
+        """Bus and angle from which local angles count: the substation's, elsewhere 0 at the local slack bus."""
         slack = self._area.network.slack
         return (slack.bus, slack.va) if slack else (self._area.slack_bus, 0.0)
 
     def _local_measurements(
         self, known: Knowledge, loads: dict[int, NetLoad], slack_vm: float | None
     ) -> list[Measurement]:
-        """Own telemetry; at boundary buses the injection is what the network beyond takes, a pseudo-measurement.
+        """Own telemetry, and pseudo-measurements of the injections at boundary buses, which count the network beyond.
 
-        Angle meters count from the substation: only its own area, whose angles do so from the start, can use them.
+        Angle meters count from the substation: only its own area, whose local angles do so too, can use them.
         """
         boundary = set(self._area.boundary_buses)
         chosen = [m for m in known.measurements if not (m.meter.kind.of_injection and m.meter.bus in boundary)]

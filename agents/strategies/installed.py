@@ -17,10 +17,10 @@ GROUP = "dsse.strategies"
 
 
 def list_strategies() -> tuple[str, ...]:
-    """The names of all that are installed, sorted; nothing of them is imported.
+    """The names of all installed strategies, sorted; none of them is imported.
 
     Raises:
-        InvalidInputError: there is none, as this project itself is not installed, or was before it had any.
+        InvalidInputError: there is none: this project itself is not installed, or in a version without entry points.
     """
     names = tuple(sorted({entry.name for entry in _find_entries(tuple(sys.path))}))
     if not names:
@@ -38,7 +38,7 @@ def load_strategy(name: str) -> type[AnyStrategy]:
     return _load(name, tuple(sys.path))
 
 
-@functools.cache  # until something else is on the path: hundreds of agents are forked from one process
+@functools.cache  # until the path changes: hundreds of agents are forked from one process
 def _find_entries(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
     return tuple(entry_points(group=GROUP))
 
@@ -55,7 +55,7 @@ def _load(name: str, path: tuple[str, ...]) -> type[AnyStrategy]:
     cure = "correct or uninstall that distribution"
     try:
         cls = entry.load()
-    except Exception as error:  # whatever a foreign module does
+    except Exception as error:  # a foreign module may raise anything
         problem = f"{entry.value} cannot be imported: {type(error).__name__}: {error}; {cure}"
         raise InvalidInputError(_describe(entry), [problem]) from error
     if problems := list(_find_problems(cls)):
@@ -65,7 +65,7 @@ def _load(name: str, path: tuple[str, ...]) -> type[AnyStrategy]:
 
 
 def _describe(entry: EntryPoint) -> str:
-    """For an error: to find the owner takes reading all that its distribution says of itself."""
+    """Name of a strategy and its distribution, for an error only: it takes reading the distribution's metadata."""
     return f"strategy {entry.name!r} of {_owner_of(entry)}"
 
 
@@ -74,7 +74,7 @@ def _owner_of(entry: EntryPoint) -> str:
 
 
 def _find_problems(cls: Any) -> Iterator[str]:
-    """What a strategy lacks; its message types are made known on the way."""
+    """Defects of a strategy's class; its message types are added on the way."""
     if not (isinstance(cls, type) and issubclass(cls, AnyStrategy)):
         yield "is no class derived from agents.strategies.Strategy"
         return

@@ -1,6 +1,7 @@
-"""What a strategy is: what the program asks of every one, and the interface of asynchronous ones.
+"""Interfaces of strategies: that of all strategies to the program, and that of asynchronous ones.
 
-An asynchronous strategy takes three decisions, without clock and bus: solve, what to send, is it to be sent at once.
+An asynchronous strategy takes three decisions, without clock and bus: the estimate, the message to each neighbour, and
+whether the message is sent at once.
 """
 
 from __future__ import annotations
@@ -19,18 +20,18 @@ from dsse_core.exchange.boundary_load import NetLoad
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.partition import Area, Neighbour
 
-LARGEST_VM = 10.0  # p.u.; an iteration that goes there wanders for long before it comes back, if it does
-LARGEST_VA = 1e3  # rad; digits are lost beyond
-LARGEST_SPREAD = 6.0  # rad, of one area's angles beyond what its transformers turn; a bus off by full turns is beyond
+LARGEST_VM = 10.0  # p.u.; an iteration that exceeds it wanders for long before it comes back, if it does
+LARGEST_VA = 1e3  # rad; larger angles lose digits
+LARGEST_SPREAD = 6.0  # rad, of one area's angles without the turns of its transformers; a full turn exceeds it
 
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What an area knows at present.
+    """Present knowledge of an area, from which its strategy solves.
 
     ``measurements``: its telemetry of the current scan, virtual measurements included. ``loads``: neighbour ->
     load message; ``boundary``: neighbour -> its newest boundary message; silent neighbours are absent from both.
-    ``present``: the neighbours that are present and receive this area's messages.
+    ``present``: the neighbours that are present and receive this area's messages. ``scan``: number of the scan.
     """
 
     measurements: tuple[Measurement, ...]
@@ -45,9 +46,9 @@ class Estimate:
     """An area's state as published: arrays of shape (n_bus,) in the order of the area's buses, p.u. and rad.
 
     ``referenced``: ``va`` counts from the substation. ``removed``: meters taken out as bad data.
-    ``critical``: meters that cannot be spared, whatever they read. ``checked``: bad data have been looked for.
-    ``settled``: no exchange under way is going to move it. ``undecided``: groups of meters of which the first is taken
-    out, and the readings do not tell which of them is wrong.
+    ``critical``: meters that cannot be spared, whatever they read. ``checked``: the search for bad data has been done.
+    ``settled``: no exchange under way is going to move the estimate. ``undecided``: groups of meters of which the first
+    is taken out, while the readings do not tell which meter of the group is wrong.
     """
 
     vm: np.ndarray
@@ -64,10 +65,11 @@ class Estimate:
     undecided: tuple[tuple[str, ...], ...] = ()
 
     def is_reasonable(self, no_load_va: np.ndarray) -> bool:
-        """Whether a grid can be in this state, however far from any real one. ``no_load_va``: of its unloaded buses.
+        """True where a grid can be in this state, however unusual it is; ``no_load_va``: angles of the unloaded buses.
 
-        NaN is none, and nor is a negative magnitude or a bus that is full turns off, images of a state at which an
-        iteration that went astray can settle. Transformers may turn a bus by more than that, or angles be counted anew.
+        NaN is no such state. A negative magnitude, or a bus that is off by full turns, is an image of a state at which
+        an iteration that went astray can settle; it is no such state either. Turns that the unloaded buses have, too,
+        as behind transformers, and a common shift of all angles do not count.
         """
         least, most, load = self.va.min(), self.va.max(), self.va - no_load_va
         voltages = self.vm.min() > 0 and self.vm.max() < LARGEST_VM
@@ -76,14 +78,14 @@ class Estimate:
 
 
 class AnyStrategy:
-    """What the program asks of a strategy, whatever protocol it runs on; nothing asks for its name.
+    """Interface of a strategy to the program, for every protocol; no decision depends on the strategy's name.
 
     Attributes:
         message_types: the classes of the messages that areas send each other, beside load messages and heartbeats.
         reconciles_magnitudes: the voltage magnitudes that two areas find at their boundary become equal. If not,
-            consensus does not wait for it.
-        estimates_alone: each area makes its estimate of ``local_meters`` and of what its neighbours send, and must
-            be observable with these; else the areas must be observable together.
+            consensus does not wait for that.
+        estimates_alone: each area estimates from ``local_meters`` and the messages of its neighbours, and must be
+            observable with these; else the areas must be observable together.
         takes_rings: two areas may meet at several buses (``Boundary``).
     """
 
@@ -94,7 +96,7 @@ class AnyStrategy:
 
     @classmethod
     def find_ring_problems(cls, strategy: str, areas: Iterable[Area]) -> list[str]:
-        """Pairs of areas that meet at several buses, where ``strategy``, which this class is, cannot take that."""
+        """Pairs of areas that meet at several buses, where this class, named ``strategy``, does not take rings."""
         met = {frozenset((a.name, n.area)): a.boundaries[n.area].buses for a in areas for n in a.neighbours}
         return [
             f"areas {' and '.join(sorted(pair))} meet at buses {', '.join(map(str, buses))}: a ring, which "
@@ -105,15 +107,15 @@ class AnyStrategy:
 
     @classmethod
     def kinds(cls) -> tuple[str, ...]:
-        """Those of its messages, which are parts of keys."""
+        """Kinds of the strategy's messages, which are parts of keys."""
         return tuple(message_type.kind for message_type in cls.message_types)
 
     @classmethod
     def local_meters(cls, area: Area, own: Sequence[Meter]) -> Sequence[Meter]:
-        """What the estimate of ``area`` rests on where it ``estimates_alone``.
+        """Meters on which the estimate of ``area`` rests where the strategy ``estimates_alone``.
 
-        Its ``own`` meters, or some of them, and pseudo-measurements for what messages say. Those of injections at
-        boundary buses stand for load messages.
+        These are its ``own`` meters, or some of them, and pseudo-measurements for the content of messages.
+        Pseudo-measurements of injections at boundary buses stand for load messages.
         """
         return own
 
@@ -121,10 +123,10 @@ class AnyStrategy:
 class Strategy(AnyStrategy, ABC):
     """One area's side of an asynchronous strategy: it solves with what it knows, and sends each neighbour the result.
 
-    A strategy of one's own derives from it, and its distribution names it in an entry point of group
-    ``dsse.strategies`` (docs/tutorials/own-strategy.md). The protocol delivers its messages whatever is lost, and
-    keeps the newest of each neighbour. ``message_types`` are subclasses of ``BoundaryUpdate``. Exceptions of
-    arithmetic leave the area without an estimate until something changes; the object is then made anew.
+    Your own strategy derives from this class, and its distribution names it in an entry point of group
+    ``dsse.strategies`` (docs/tutorials/own-strategy.md). The protocol repeats its messages, so that lost ones arrive in
+    the end, and keeps the newest of each neighbour. ``message_types`` are subclasses of ``BoundaryUpdate``. Exceptions
+    of arithmetic leave the area without an estimate until something changes; then a new object is made.
 
     Args:
         content: the area file: the area, its network, neighbours and meters, in p.u. and rad.
@@ -137,23 +139,23 @@ class Strategy(AnyStrategy, ABC):
 
     @abstractmethod
     def solve(self, known: Knowledge) -> tuple[Estimate | None, tuple[str, ...]]:
-        """The estimate that ``known`` allows, None if it allows none, and in words what is missing.
+        """The estimate that ``known`` allows, None if it allows none, and notes, such as on missing messages.
 
         Called whenever something in ``known`` has changed, and at heartbeats.
         """
 
     @abstractmethod
     def message_for(self, neighbour: Neighbour, estimate: Estimate, header: Header) -> BoundaryUpdate:
-        """What ``neighbour`` is to receive of ``estimate``; ``header`` is passed on as it is."""
+        """Message to ``neighbour`` about ``estimate``; ``header`` is passed on as it is."""
 
     @abstractmethod
     def is_update(self, neighbour: Neighbour, message: BoundaryUpdate, last: BoundaryUpdate) -> bool:
-        """Whether ``message`` to ``neighbour`` differs enough from the last one sent to be sent at once."""
+        """True where ``message`` to ``neighbour`` differs enough from the ``last`` one sent to be sent at once."""
 
     def find_rejection(self, message: BoundaryUpdate) -> str:
-        """Why a neighbour's message cannot be used, in short; empty if it can."""
+        """Reason why a neighbour's message cannot be used, in short; empty if it can."""
         return ""
 
     def describe_backend(self) -> str:
-        """For the log: what computes the exchange, and how often something else had to; empty without such a choice."""
+        """Back end of the exchange, and the number of uses of another one, for the log; empty without such a choice."""
         return ""

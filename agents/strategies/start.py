@@ -1,4 +1,4 @@
-"""Where the iterations of ``information`` and ``admm`` start; what they end at does not depend on it."""
+"""Start of the iterations of ``admm``, on whose end it has no influence, and angles of the unloaded area."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 
 def find_no_load(area: Area) -> tuple[np.ndarray, np.ndarray]:
-    """The voltages (vm, va) of the unloaded area, its angles counted from the bus that all its iterations start at."""
+    """The voltages (vm, va) of the unloaded area; angles count from its reference bus, or else its local slack bus."""
     return flat_start(area.network, area.reference[0] if area.reference else area.slack_bus)
 
 
 def start_state(content: Configuration, received: Mapping[str, NetLoad]) -> np.ndarray:
-    """``x`` of ``AreaModel``: the local power flow once load messages allow one, else flat."""
+    """Start ``x`` of ``AreaModel``: the local power flow where the load messages allow one, else the unloaded area."""
     area, network = content.area, content.area.network
     vm, va = find_no_load(area)
     loads = boundary_loads(area, received, content.load_error)
@@ -31,7 +31,7 @@ def start_state(content: Configuration, received: Mapping[str, NetLoad]) -> np.n
             flow = solve_power_flow(network, slack=(area.slack_bus, area.slack_vm), extra_load=beyond)
             vm, va = flow.vm, flow.va
         except DsseError:
-            pass  # a start, no more: a wrong load message must not stop the estimate
+            pass  # only a start: a wrong load message must not stop the estimate
     if area.reference:
         bus, angle = area.reference
         va = va + angle - va[network.row[bus]]

@@ -1,1 +1,1 @@
-"""Zenoh: sessions, publishers, subscribers, presence. The only room that imports it."""
+"""Zenoh: sessions, publishers, subscribers, presence. The only package that imports it."""

@@ -13,7 +13,7 @@ from agents.security.credential_files import Credentials
 from agents.security.credentials import Keys
 
 SHORTEST_LEASE_S = 2.0
-LEASE_HEARTBEATS = PATIENCE_HEARTBEATS  # where hundreds share two cores, one may have to wait that long for its turn
+LEASE_HEARTBEATS = PATIENCE_HEARTBEATS  # where hundreds of processes share two cores, one may wait so long to run
 BURST = 16  # messages of one priority, the most that Zenoh allows
 RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2}
 
@@ -26,9 +26,11 @@ def bus_config(
     access: Access | None = None,
     **sections: Any,
 ) -> dict[str, Any]:
-    """``heartbeat_s``: that of the process; the other end waits for a sign as long as that allows.
+    """The configuration of a session of Zenoh in ``mode``; ``sections`` are added to it.
 
-    ``meets``: names that may be at the other ends of links, with keys. ``access``: of a router without keys, if known.
+    ``meets``: names that may be at the other ends of links, with ``keys``. ``heartbeat_s``: interval of the process's
+    heartbeats, s, from which the time follows that the other end waits for a sign. ``access``: of a router without
+    keys, if known.
     """
     return {
         "mode": mode,
@@ -48,8 +50,8 @@ def bus_config(
                     "lease": int(1000 * max(SHORTEST_LEASE_S, LEASE_HEARTBEATS * heartbeat_s)),
                     "keep_alive": 4,
                     "queue": {
-                        # what waits for the thread that sends: an area says a dozen things at once, and Zenoh
-                        # would drop all that has no place here
+                        # messages that wait for the sending thread: an area sends a dozen at once, and Zenoh
+                        # would drop all that find no place here
                         "size": {"data_high": BURST},
                         "congestion_control": {"block": {"wait_before_close": 1_000_000}},
                     },
@@ -69,7 +71,7 @@ def _access_control(keys: Keys | None, meets: Iterable[str], access: Access | No
 
 
 def _tls(credentials: Credentials) -> dict[str, Any]:
-    """Show one's own certificate in both directions, and insist on the other's."""
+    """The section that shows the own certificate in both directions, and requires that of the other end."""
     certificate, key = str(credentials.certificate), str(credentials.key)
     tls = {
         "root_ca_certificate": str(credentials.authority),
@@ -85,7 +87,7 @@ def _tls(credentials: Credentials) -> dict[str, Any]:
 
 
 def at_once(endpoints: Sequence[str], timeout_s: float) -> dict[str, Any]:
-    """Connect to the first of ``endpoints`` that answers, or fail after ``timeout_s``."""
+    """The section that connects to the first of ``endpoints`` that answers, or fails after ``timeout_s``."""
     return {
         "endpoints": list(endpoints),
         "timeout_ms": int(timeout_s * 1000),
@@ -95,9 +97,9 @@ def at_once(endpoints: Sequence[str], timeout_s: float) -> dict[str, Any]:
 
 
 def in_turns(endpoints: Sequence[str], first_s: float) -> Iterator[tuple[Sequence[str], float]]:
-    """``endpoints``, each of them first in its turn, and how long to try that; longer in each round, for ever.
+    """``endpoints``, each of them first in its turn, and how long to try that order, s; twice as long in each round.
 
-    At the start Zenoh tries the first one only, whatever is wrong with it; later it goes on to the others.
+    At the start Zenoh tries only the first one, even if it is wrong; later it goes on to the others.
     """
     while True:
         for number in range(len(endpoints)):
@@ -106,12 +108,12 @@ def in_turns(endpoints: Sequence[str], first_s: float) -> Iterator[tuple[Sequenc
 
 
 def in_the_background(endpoints: Sequence[str]) -> dict[str, Any]:
-    """Connect to each of ``endpoints``, now or whenever it is there."""
+    """The section that connects to each of ``endpoints``, now or as soon as it is there."""
     return {"endpoints": list(endpoints), "timeout_ms": -1, "exit_on_failure": False, "retry": RETRY}
 
 
 def find_protocol_problem(endpoints: Sequence[str], secured: bool) -> str:
-    """The first endpoint that does not fit to having keys, or having none; empty if all do."""
+    """Problem of the first endpoint that is secured without keys, or not secured with keys; empty if there is none."""
     for endpoint in endpoints:
         protocol, _, address = endpoint.partition("/")
         if secured and protocol != "tls":

@@ -1,4 +1,4 @@
-"""Links to the bus that can be closed and opened again with renewed keys, and what was declared on them with them."""
+"""Links to the bus that can be closed and opened again with renewed keys, with all declarations on them."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from agents.security.expiry import ExpiryWatch
 from dsse_core.errors import InvalidInputError
 
 log = logging.getLogger(__name__)
-REOPEN_S = 1.0  # one attempt to open links again; a process that is to end waits for its end
+REOPEN_S = 1.0  # one attempt to open links again; a process that ends waits for the attempt
 PAUSE_S = 0.2  # between two attempts
 
 
 class OpenBus(Protocol):
-    """What is opened: a session of Zenoh."""
+    """Interface of an open bus: a session of Zenoh."""
 
     def close(self) -> Any: ...
 
 
 @dataclass(slots=True)
 class Declaration:
-    """What was declared, and how to do it again; ``entity`` is None while there are no links."""
+    """A declaration, and the function that repeats it; ``entity`` is None while there are no links."""
 
     declare: Callable[[Any], Any]
     entity: Any = None
 
 
 class RenewableBus:
-    """Opens the bus, closes it with its block, and in between takes up renewed keys.
+    """Opens the bus, closes it at the end of its ``with`` block, and in between takes up renewed keys.
 
     ``open_bus``: opens it with keys, waiting so many seconds for the other side; ``close_bus``: closes it.
 
@@ -52,7 +52,7 @@ class RenewableBus:
         self.keys = keys
         self._open, self._close = open_bus, close_bus
         self._declared: list[Declaration] = []
-        self._lock = threading.RLock()  # what is declared may call back at once
+        self._lock = threading.RLock()  # a declaration may call back at once
         self._reopening: threading.Thread | None = None
         self._given_up = threading.Event()
         self.bus: OpenBus | None = open_bus(keys, timeout_s)
@@ -73,7 +73,7 @@ class RenewableBus:
         self._take_down()
 
     def declare(self, declare: Callable[[Any], Any]) -> Declaration:
-        """Call ``declare(bus)`` now and after every renewal, and keep what it returns referenced."""
+        """Call ``declare(bus)`` now and after every renewal, and keep the returned entity referenced."""
         declared = Declaration(declare)
         with self._lock:
             self._declared.append(declared)
@@ -83,12 +83,12 @@ class RenewableBus:
 
     @property
     def declarations(self) -> tuple[Declaration, ...]:
-        """What is declared now, in order."""
+        """All present declarations, in order."""
         with self._lock:
             return tuple(self._declared)
 
     def withdraw(self, declared: Declaration) -> None:
-        """Take back what was declared, for good."""
+        """Take back a declaration, for good."""
         with self._lock:
             self._declared = [other for other in self._declared if other is not declared]
             entity, declared.entity = declared.entity, None
@@ -96,13 +96,13 @@ class RenewableBus:
             entity.undeclare()
 
     def is_open(self, bus: OpenBus) -> bool:
-        """Whether ``bus`` is the one in use; what still comes from a former one is to be ignored."""
+        """True where ``bus`` is the one in use; messages from a former one are ignored."""
         return bus is self.bus
 
     def interrupt(self) -> bool:
-        """Read the keys anew and, if they can be used, close all links until ``resume``; whether it did.
+        """Read the keys again and, if they can be used, close all links until ``resume``; True if so.
 
-        Nothing arrives any more when this returns, and what is published meanwhile is lost.
+        Nothing arrives any more when this returns, and payloads published meanwhile are lost.
         """
         if self.keys is None:
             return False
@@ -115,7 +115,7 @@ class RenewableBus:
         return True
 
     def resume(self) -> None:
-        """Open the bus again in the background, until that succeeds or this closes."""
+        """Try to open the bus again in the background, until that succeeds or ``close`` is called."""
         self._given_up.clear()
         self._reopening = threading.Thread(target=self._reopen, daemon=True)
         self._reopening.start()
@@ -137,7 +137,7 @@ class RenewableBus:
         while not self._given_up.is_set():
             try:
                 bus = self._open(self.keys, REOPEN_S)
-            except Exception as error:  # whatever it is: nobody else opens the bus again
+            except Exception as error:  # of any kind: only this thread opens the bus again
                 if not logged:
                     log.warning("not open again yet: %s", error)
                 logged = True

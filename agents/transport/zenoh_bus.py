@@ -1,8 +1,8 @@
 """Zenoh: sessions, publishers, subscribers, presence and the router. The only module that imports it.
 
-Endpoints are explicit: multicast scouting, gossip and shared memory are off. A session must be closed, or
-its process never exits; entities are kept referenced, or they vanish; nothing here may exist before a fork.
-With keys there are TLS links only, both ends show a certificate, and each applies the rules of access to the other.
+Endpoints are explicit: multicast scouting, gossip and shared memory are off. A session must be closed, or its process
+never exits. Entities must be kept referenced, or they vanish. Nothing here may exist before a fork. With keys there are
+only TLS links; both ends show a certificate, and each applies the rules of access to the other.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from dsse_core.files.bounded_parsing import parse_json
 from dsse_core.limits import LONGEST_S
 
 log = logging.getLogger(__name__)
-FIRST_SLICE_S, LAST_SLICE_S = 0.5, 0.01  # for which one of several endpoints is tried
+FIRST_SLICE_S, LAST_SLICE_S = 0.5, 0.01  # time for which one of several endpoints is tried
 MAX_LOGGED = 1000  # links of names without rights that are logged
 AnyBus = TypeVar("AnyBus", bound=RenewableBus)
 Payload = TypeVar("Payload")
@@ -45,17 +45,17 @@ class TransportError(DsseError):
 
 
 class Session(RenewableBus):
-    """A client of one or more routers, or a peer of some others; it reconnects by itself."""
+    """A client of one or more routers, or a peer of other processes; the session reconnects by itself."""
 
     @classmethod
     def connect(
         cls, endpoints: Sequence[str], timeout_s: float = 10.0, keys: Keys | None = None, *, heartbeat_s: float = 0.0
     ) -> Session:
-        """Connect to the first of ``endpoints`` that answers within ``timeout_s``, and has a router's certificate.
+        """Connect to the first of ``endpoints`` that answers within ``timeout_s``; with keys only a router is allowed.
 
         Raises:
             InvalidInputError: one is no endpoint.
-            TransportError: none answers, or takes our certificate.
+            TransportError: none answers, or accepts the certificate of this process.
         """
         _check_endpoints(endpoints, keys)
         if not 0 < timeout_s <= LONGEST_S:
@@ -82,7 +82,7 @@ class Session(RenewableBus):
     ) -> Session:
         """Link with each of ``endpoints`` directly, as soon and as often as it is there; no router takes part.
 
-        What passes between two others does not pass here. ``listen``: where others link with us.
+        Messages between two other processes do not pass here. ``listen``: endpoints where others link with this one.
 
         Raises:
             InvalidInputError: one is no endpoint.
@@ -115,18 +115,18 @@ class Session(RenewableBus):
         heartbeat_s: float = 0.0,
         direct: bool = False,
     ) -> Session:
-        """``connect`` to one of the routers at ``endpoints``, or, ``direct``, ``meet`` all areas there."""
+        """``connect`` to one of the routers at ``endpoints``, or, if ``direct``, ``meet`` all areas there."""
         if direct:
             return cls.meet(endpoints, keys=keys, heartbeat_s=heartbeat_s)
         return cls.connect(endpoints, timeout_s, keys, heartbeat_s=heartbeat_s)
 
     def is_linked(self) -> bool:
-        """Whether there is a link to a router, or to any of those met directly."""
+        """True where there is a link to a router, or to a process met directly."""
         bus = cast("zenoh.Session | None", self.bus)
         return bus is not None and any((bus.info.routers_zid(), bus.info.peers_zid()))
 
     def publisher(self, key: str) -> Callable[[bytes], None]:
-        """A function that puts a payload on ``key``; while links are closed to be opened again, nobody receives it."""
+        """A function that puts a payload on ``key``; while links are closed for a renewal, the payload is lost."""
         declared = self.declare(
             lambda bus: bus.declare_publisher(
                 key,
@@ -143,7 +143,7 @@ class Session(RenewableBus):
         return put
 
     def subscribe(self, key_expression: str, callback: Callable[[str, bytes], None]) -> Declaration:
-        """Call ``callback(key, payload)`` for every message, on the thread that receives; it must return at once.
+        """Call ``callback(key, payload)`` for every message, on the receiving thread; the callback must return at once.
 
         The result may be given to ``withdraw``.
         """
@@ -170,10 +170,10 @@ class Session(RenewableBus):
     def watch_presence(self, key_expression: str, callback: Callable[[str, bool], None]) -> None:
         """Call ``callback(key, alive)`` for every token, those already there included.
 
-        Ask by name: a wildcard that matches what strangers announce blocks the router when they leave, also after it
-        was asked for (``coordinator/observe/watched_keys.py``).
+        Watch tokens by name: a wildcard that matches the tokens of strangers blocks the router when they leave, also
+        after the wildcard was asked for (``coordinator/observe/watched_keys.py``).
 
-        After ``interrupt`` none counts until it is seen again: their ends are not reported.
+        After ``interrupt`` no token counts until it is seen again: the ends of tokens are not reported.
         """
 
         def declare(bus: zenoh.Session) -> Any:
@@ -201,12 +201,12 @@ class Router(RenewableBus):
         heartbeat_s: float = 0.0,
         access: Access | None = None,
     ) -> Router:
-        """Open a router on ``endpoints``; port 0 takes a free one, ``Router.endpoints`` says which.
+        """Open a router on ``endpoints``; port 0 takes a free one, which ``Router.endpoints`` names.
 
         ``others``: routers to link with, as soon and as often as they are there; linked routers are one bus.
-        ``heartbeat_s``: of those who will link with it. Without ``keys`` everybody may publish who gets a link, under
-        any name, or, with ``access``, under the names of those who take part in that run. What is
-        rejected is logged on standard output by Zenoh: links at level ``warn``, messages at
+        ``heartbeat_s``: of the processes that will link with the router. Without ``keys`` every process with a link may
+        publish, under any name, or, with ``access``, under the names of the processes of that run. Zenoh logs
+        rejections on standard output: links at level ``warn``, messages at
         ``RUST_LOG=zenoh::net::routing::interceptor=trace``.
 
         Raises:
@@ -233,7 +233,7 @@ class Router(RenewableBus):
         router = _with_watched_links(cls(open_bus, _close, keys), lambda keys: keys.access.names)
         router.endpoints = _locators(cast(zenoh.Session, router.bus))
         if any(endpoint.endswith(":0") for endpoint in endpoints):
-            bound = router.endpoints  # where the others look for it when it opens again
+            bound = router.endpoints  # where other processes look for the router when it opens again
         return router
 
 
@@ -251,9 +251,9 @@ def _met_directly(keys: Keys) -> Sequence[str]:
 
 
 def _with_watched_links(bus: AnyBus, meets: Callable[[Keys], Sequence[str]]) -> AnyBus:
-    """Have it logged who links, or is found where somebody else was looked for, and has no rights here.
+    """Log links with processes that have no rights here, also those found where another process was expected.
 
-    ``meets``: whom the rules of some keys let link with us; those in use may be renewed.
+    ``meets``: names that the rules of some keys allow at the other ends of links; the keys in use may be renewed.
     """
     if bus.keys is None:
         return bus
@@ -276,16 +276,16 @@ def _with_watched_links(bus: AnyBus, meets: Callable[[Keys], Sequence[str]]) -> 
 
 
 def _directly(callback: Callable[[Payload], None]) -> zenoh.handlers.Callback[Payload]:
-    """Without a Python thread of its own for every subscriber, which costs memory and changes of threads."""
+    """A callback without a Python thread for every subscriber, which would cost memory and changes of threads."""
     return zenoh.handlers.Callback(callback, indirect=False)
 
 
 def _check_endpoints(endpoints: Sequence[str], keys: Keys | None, listen: Sequence[str] = ()) -> None:
-    """That all ``endpoints``, and those to ``listen`` on, can be given to Zenoh.
+    """Check that all ``endpoints``, and those to ``listen`` on, can be given to Zenoh.
 
     Raises:
         InvalidInputError: one is no endpoint.
-        TransportError: the first that does not fit to having keys, or having none.
+        TransportError: the first that is secured without keys, or not secured with keys.
     """
     check_endpoints("endpoints to listen on", listen, listens=True)
     check_endpoints("endpoints", endpoints)
@@ -294,7 +294,7 @@ def _check_endpoints(endpoints: Sequence[str], keys: Keys | None, listen: Sequen
 
 
 def warn_of_strangers(listen: Sequence[str], secured: bool) -> None:
-    """Log which endpoints of ``listen`` other hosts reach, where nobody needs a key."""
+    """Log the endpoints of ``listen`` that other hosts reach, where links need no keys."""
     if not secured and (open_endpoints := find_open_endpoints(listen)):
         log.warning(
             "listening without keys on %s: everybody who reaches it may receive and send everything; give --keys, or "
@@ -304,7 +304,7 @@ def warn_of_strangers(listen: Sequence[str], secured: bool) -> None:
 
 
 def _log_rejected_links(keys: Keys | None) -> None:
-    """Let Zenoh write on standard output whom it rejected; not that somebody is not there yet."""
+    """Let Zenoh write rejected links on standard output, but not that a process is not there yet."""
     if keys:
         zenoh.init_log_from_env_or("warn,zenoh::net::runtime::orchestrator=error")
 
@@ -336,10 +336,10 @@ def _locators(session: zenoh.Session) -> tuple[str, ...]:
 
 
 def _reason(endpoints: Sequence[str], credentials: Credentials | None) -> str:
-    """What a secured endpoint and we have against each other; empty if that is not the reason."""
+    """Reasons why secured endpoints and this process reject each other; empty if that is not the problem."""
     if credentials is None:
         return ""
-    from agents.security.certificate_checks import explain_rejection  # without keys nobody waits for it
+    from agents.security.certificate_checks import explain_rejection  # not needed without keys
 
     reasons = {endpoint: explain_rejection(endpoint, credentials) for endpoint in endpoints}
     return "; ".join(f"{endpoint}: {reason}" for endpoint, reason in reasons.items() if reason)
