@@ -99,7 +99,7 @@ class Admm(Strategy):
         return self._area.reference is not None or angle_meters
 
     def _take_measurements(self, known: Knowledge) -> None:
-        """Begin a new scan: state and iterations so far are its start, unless a flat start is closer to readings."""
+        """Begin a new scan from the state and iterations so far, unless a flat start is closer to the readings."""
         reference = self._area.reference[0] if self._area.reference else None
         if self._model is not None:
             self._model.end()
