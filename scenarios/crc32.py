@@ -1,4 +1,4 @@
-"""The CRC-32 of many texts at once: what ``zlib.crc32`` finds for each, by its table, a byte of all after the other."""
+"""CRC-32 of many texts at once, as ``zlib.crc32`` finds it: by its table, one byte of all texts after the other."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class Texts:
     length: np.ndarray
 
     def of(self, rows: np.ndarray) -> Texts:
-        """Those in ``rows`` (k,)."""
+        """The texts in ``rows`` (k,)."""
         return Texts(self.cells[:, rows], self.length[rows])
 
 
 def write_bytes(texts: Sequence[bytes] | np.ndarray) -> Texts:
-    """``texts`` side by side."""
+    """The ``Texts`` with ``texts`` side by side."""
     table = np.array(texts, dtype=np.bytes_)
     cells = np.ascontiguousarray(table.view(np.uint8).reshape(len(table), -1).T) if len(table) else np.zeros((0, 0))
     length = np.char.str_len(table) if isinstance(texts, np.ndarray) else np.array(list(map(len, texts)), dtype=int)

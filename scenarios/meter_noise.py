@@ -1,10 +1,10 @@
-"""Noise of many meters at once: of each the first standard normal number of ``default_rng([*words, its own])``.
+"""Noise of many meters at once: for each the first standard normal number of ``default_rng([*words, its own])``.
 
-Half a million generators take numpy long, so that the seeds are mixed here for all of them together, as
-``numpy.random.SeedSequence`` and ``PCG64`` do, whose streams numpy promises to keep. For
-normal numbers it gives no promise: the layers that they are made in are found by asking it. After
-M. O'Neill, "Developing a seed_seq alternative" (2015), and "PCG: a family of simple fast space-efficient statistically
-good algorithms for random number generation" (2014).
+numpy takes long for half a million generators, so the seeds of all of them are mixed here together, as
+``numpy.random.SeedSequence`` and ``PCG64`` do, whose streams numpy promises to keep. numpy does not promise to keep its
+normal numbers, so the layers that they are made in are found by drawing from numpy. After M. O'Neill, "Developing a
+seed_seq alternative" (2015), and "PCG: a family of simple fast space-efficient statistically good algorithms for random
+number generation" (2014).
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ Pair = tuple[np.ndarray, np.ndarray]
 
 
 def draw_noise(seeds: Sequence[int], own: np.ndarray) -> np.ndarray:
-    """Of each ``own`` (n,), uint32, the number ``default_rng([*seeds, own]).standard_normal()``, shape (n,)."""
+    """``default_rng([*seeds, k]).standard_normal()`` for each k of ``own`` (n,), uint32; shape (n,)."""
     parts = [_draw_some(seeds, own[first : first + AT_ONCE]) for first in range(0, len(own), AT_ONCE)]
     return np.concatenate(parts) if parts else np.zeros(0)
 
 
 def _draw_some(seeds: Sequence[int], own: np.ndarray) -> np.ndarray:
-    """The same of some of them."""
+    """``draw_noise`` of at most AT_ONCE meters."""
     words = _mix_seeds(seeds, own)
     state, increment = _seed_streams(words)
     noise, is_known = _read_normals(_output(*_step(*state, *increment)))
@@ -47,7 +47,7 @@ def _draw_some(seeds: Sequence[int], own: np.ndarray) -> np.ndarray:
 
 
 class _Generator:
-    """numpy's own, at a state of our choice."""
+    """numpy's own generator of normal numbers, at a given state."""
 
     def __init__(self) -> None:
         self._bits = np.random.PCG64(0)
@@ -66,10 +66,10 @@ class _Generator:
 
 
 def _read_normals(raw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What numpy makes of the 64 bits in ``raw`` (n,), and where it makes it of them alone, shape (n,) each.
+    """The normal numbers that numpy makes of 64 bits ``raw`` (n,), and true where those bits suffice, shape (n,) each.
 
-    Marsaglia and Tsang, "The ziggurat method for generating random variables", J. Stat. Softw. 5 (2000): the lowest
-    8 bits choose a layer, the next is the sign, 52 more the place in the layer: nearly always below the next one.
+    Marsaglia and Tsang, "The ziggurat method for generating random variables", J. Stat. Softw. 5 (2000): the lowest 8
+    bits choose a layer, the next is the sign, 52 more the place in the layer: nearly always below the next one.
     """
     if (layers := _find_layers()) is None:
         return np.zeros(len(raw)), np.zeros(len(raw), dtype=bool)
@@ -83,8 +83,9 @@ def _read_normals(raw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def _find_layers() -> tuple[np.ndarray, np.ndarray] | None:
-    """Of each of the 256 layers its width over 2^52, and below which place a number surely lies in it, found by asking
-    numpy; None where numpy makes its numbers in another way.
+    """Width over 2^52 of each of the 256 layers, and the place below which a number surely lies in the layer.
+
+    Both are found by drawing from numpy; None where numpy makes its numbers in another way.
     """
     generator = _Generator()
     place = 2**40  # deep inside each layer
@@ -129,7 +130,7 @@ def _add(one: Pair, other: Pair) -> Pair:
 
 
 def _output(high: np.ndarray, low: np.ndarray) -> np.ndarray:
-    """What PCG64 gives at a state: its halves' exclusive or, turned right by the upper 6 bits."""
+    """Output of PCG64 at a state: the exclusive or of its halves, turned right by the upper 6 bits."""
     turn, mixed = high >> np.uint64(58), high ^ low
     output: np.ndarray = mixed >> turn | mixed << (-turn & np.uint64(63))
     return output

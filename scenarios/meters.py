@@ -1,4 +1,4 @@
-"""Which meters a scenario has, and the standard deviation of each."""
+"""Meters of a scenario, and the standard deviation of each."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def build_sigma_rule(table: MeasurementsTable, base_mva: float) -> SigmaRule:
 
 
 def find_floor_problems(table: MeasurementsTable, network: Network) -> Iterable[str]:
-    """That ``floor_kva`` is no standard deviation which an estimator can compute with."""
+    """A problem where ``floor_kva`` is no standard deviation that an estimator can compute with."""
     floor = table.floor_kva / 1000 / network.base_mva
     if not SMALLEST_SIGMA <= floor <= LARGEST_SIGMA:
         yield (
@@ -92,10 +92,10 @@ def find_floor_problems(table: MeasurementsTable, network: Network) -> Iterable[
 
 
 def build_meters(table: MeasurementsTable, network: Network) -> Records[Meter]:
-    """The meters of a scenario file on ``network``; unknown places are left out (``find_place_problems`` tells).
+    """The meters of a scenario file on ``network``; unknown places are left out (``find_place_problems`` reports them).
 
-    A bus without load and source injects nothing: under ``zero_injection = "virtual"`` it gets that as an exact
-    constraint, and no ordinary injection meter.
+    A bus without load and source injects nothing: under ``zero_injection = "virtual"`` it has an exact constraint in
+    place of an ordinary injection meter.
     """
     virtual = _rows_of(tuple(find_virtual_buses(table, network)), network.table.bus_id)
     on_branches = (((KIND.P_FLOW, KIND.Q_FLOW), table.flow), ((KIND.CURRENT,), table.current))
@@ -118,7 +118,7 @@ class _Group:
     source: Source = Source.TELEMETERED
 
     def columns(self, network: Network) -> tuple[np.ndarray, ...]:
-        """Those of ``make_meters``; flows are metered at the from side."""
+        """The columns for ``make_meters``; flows are metered at the from side."""
         count, table = len(self.kinds), network.table
         kind = np.tile([KINDS.index(kind) for kind in self.kinds], len(self.rows))
         row = np.repeat(self.rows, count)
@@ -139,7 +139,7 @@ def _on(key: BranchMeterTable | None, network: Network) -> np.ndarray:
 
 
 def _rows_of(listed: Sequence[Place] | None, places: np.ndarray | Sequence[Place]) -> np.ndarray:
-    """Where the listed places that exist stand in ``places``, each once; all if none is listed."""
+    """Positions in ``places`` of the listed places that exist, each once; all positions where ``listed`` is None."""
     if listed is None:
         return np.arange(len(places))
     known = places.tolist() if isinstance(places, np.ndarray) else places

@@ -1,4 +1,6 @@
-"""A grid by name or path, for what needs neither areas nor meters: a scenario, or a network file by itself."""
+"""A grid by name or path, for commands that need neither areas nor meters: of a scenario, or a network file by
+itself.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a scenario says of who reads its meters, how often, and how old readings may be: for each area its rules."""
+"""Rules of each area for its readings, from a scenario: gateways that read its meters, intervals, and limits of age."""
 
 from __future__ import annotations
 
@@ -68,9 +68,9 @@ def _ids_by_area(partition: Partition, meters: Sequence[Meter]) -> dict[str, lis
 
 
 def find_gateway_remark(rules: Mapping[str, ReadingRules]) -> str:
-    """Who may not send readings as soon as there are keys, and what to do; empty if nobody is left out.
+    """A remark that with keys no gateway but ``LEADER`` may send readings, and its cure; empty without ``ANYBODY``.
 
-    Keys are those of names, and ``ANYBODY`` has none. ``rules``: area -> those of its readings.
+    A key belongs to a name, and ``ANYBODY`` is the name of no gateway. ``rules``: area -> rules of its readings.
     """
     if not any(ANYBODY in of_area.gateways for of_area in rules.values()):
         return ""
@@ -81,8 +81,8 @@ def find_gateway_remark(rules: Mapping[str, ReadingRules]) -> str:
 
 
 def find_gateway_problems(file: ScenarioFile, partition: Partition, meters: Sequence[Meter]) -> Iterator[str]:
-    """Gateways of unknown areas, patterns that no meter has, areas and meters that no gateway reads, and a leader that
-    is none.
+    """Gateways of unknown areas, patterns that no meter has, meters that no gateway reads, and a leader that is no
+    gateway.
     """
     gateways = file.gateways
     if not gateways:

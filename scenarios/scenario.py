@@ -56,10 +56,10 @@ RESERVED = {ALL_AREAS, "coordinator", "operator", "plant", "recorder", "router",
 
 @dataclass(frozen=True, slots=True)
 class TelemetrySettings:
-    """How readings are made: ``gross_errors`` is meter id -> error in standard deviations.
+    """Source of the readings. ``gross_errors``: meter id -> error in standard deviations.
 
-    ``readings``: what real meters read, of source ``file`` only, else empty; of those of the scenario that are not
-    virtual, in their order. With source ``live`` none are made: they come from gateways.
+    ``readings``: those of real meters, of source ``file`` only, else empty; one for each meter of the scenario that is
+    not virtual, in their order. With source ``live`` no readings are made: gateways send them.
     """
 
     source: Literal["network", "area-power-flow", "file", "live"]
@@ -101,12 +101,12 @@ class Scenario:
 
     @property
     def common_rules(self) -> ReadingRules:
-        """Those of any area: who numbers scans, and what holds for a kind of meter, is the same in all."""
+        """The rules of any area; those of scan numbers and of kinds of meter are the same in all areas."""
         return next(iter(self.reading_rules.values()))
 
     @property
     def renew_s(self) -> float | None:
-        """How often readings must be made anew, s, as they age or clocks number scans; None if neither."""
+        """Interval at which readings must be renewed, s, where they age or clocks number scans; else None."""
         rules = self.common_rules
         if not rules.follow_clocks:
             return None
@@ -135,8 +135,8 @@ def load_scenario(
     """Read a shipped scenario by name, or a scenario file by its path (a ``Path``, or text with ``/`` or ``.toml``).
 
     ``changes``: values that replace the file's, by key path such as ``faults.loss`` or ``faults.link[1].loss``.
-    ``whole``: for what happens in one place the grid is one area, whatever the file says of areas and of faults but
-    those of the telemetry; unless the readings are those of each area's own power flow.
+    ``whole``: the grid as one area, for commands that run in one place. The file's areas, gateways and faults are
+    ignored, except faults of the telemetry. No effect where the readings are those of each area's own power flow.
 
     Raises:
         InvalidInputError: unknown name; or every problem of the file: first of its keys and types, then of what
@@ -174,7 +174,7 @@ def load_scenario(
 
 
 def _find_problems_of_names_and_times(file: ScenarioFile, area_buses: AreaBuses | None) -> Iterator[str]:
-    """What needs no network: names in faults, times and order of their events, and names of other processes."""
+    """Problems found without the network: names in faults, times and order of events, and names of other processes."""
     routers = 0 if file.transport.kind == "neighbours" else file.transport.routers
     yield from find_name_problems(file.faults, area_buses, routers)
     yield from find_time_problems(file.faults.events, file.run.timeout_s)
@@ -238,7 +238,7 @@ def _build_whole(network: Network) -> tuple[Partition | None, list[str]]:
 
 
 def _load_readings_of(file: ScenarioFile, path: Path, network: Network) -> tuple[Sequence[Measurement], Sequence[str]]:
-    """The readings of source ``file``, else none; and what is wrong with them or with the meters given instead."""
+    """The readings of source ``file``, else none; and problems of them or of the meters given instead."""
     tables = file.measurements.kinds
     if file.telemetry.file is None:
         return (), () if tables else (

@@ -1,4 +1,4 @@
-"""Telemetry: what the meters of every area read in one scan, made from the truth, noise and gross errors, or real."""
+"""Telemetry: the readings of every area in one scan, real ones or made from the truth, noise and gross errors."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from scenarios.scenario import Scenario
 class Telemetry:
     """One scan. ``by_area``: area -> its measurements; ``union``: all of them, for the centralised WLS.
 
-    ``truth`` is the power flow of the whole grid, None where the readings are real. ``area_power_flows``: those that
-    the readings come from under ``area-power-flow`` (their angles refer to each area's local slack), else empty.
+    ``truth`` is the power flow of the whole grid, None where the readings are real. ``area_power_flows``: power flow of
+    each area, from which readings come under ``area-power-flow`` (angles refer to its local slack), else empty.
     """
 
     truth: PowerFlowResult | None
@@ -41,8 +41,9 @@ class Telemetry:
 
 @dataclass(frozen=True)
 class Scan:
-    """What all meters of a scenario read, in their order: ``values`` and ``sigmas`` in p.u. and rad, (n_meas,), and
-    the positions ``missing`` of those whose readings the scan lacks. ``truth``, ``area_power_flows``: see Telemetry.
+    """The readings of all meters of a scenario, in their order: ``values`` and ``sigmas`` in p.u. and rad, (n_meas,).
+
+    ``missing``: positions of the meters whose readings the scan lacks. ``truth``, ``area_power_flows``: see Telemetry.
     """
 
     values: np.ndarray
@@ -65,7 +66,7 @@ def make_telemetry(scenario: Scenario, scan: int = 1) -> Telemetry:
 
 
 def expect_telemetry(scenario: Scenario) -> Telemetry:
-    """What is known of the readings of a run before it: nothing of those that gateways will bring."""
+    """Telemetry known before a run: that of its first scan, no readings where gateways will send them."""
     if scenario.telemetry.source == "live":
         return Telemetry(None, {area.name: () for area in scenario.partition.areas}, (), {})
     return make_telemetry(scenario)
@@ -102,7 +103,9 @@ def read_meters(scenario: Scenario, scan: int = 1) -> Scan:
 
 
 def find_lateness(scenario: Scenario, scan: int) -> dict[str, float]:
-    """Area -> by how many seconds the readings of ``scan`` reach it late, by the scenario's faults of telemetry."""
+    """Area -> lateness of the readings of ``scan`` there, s, by the scenario's faults of telemetry; only areas with
+    any.
+    """
     faults = scenario.faults.telemetry
     lateness = {}
     for area in scenario.partition.areas:

@@ -1,4 +1,4 @@
-"""The faults of a scenario: of each directed link, of the telemetry, and what happens to processes and when."""
+"""The faults of a scenario: of each directed link and of the telemetry, and the events of processes in time."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ class FaultEvent:
 
 @dataclass(frozen=True, slots=True)
 class TelemetryFaults:
-    """How telemetry falls short, drawn anew for each scan and area.
+    """Faults of the telemetry, drawn for each scan and area by itself.
 
-    ``missing``: share of the area's readings that the scan lacks. ``late``: probability that the scan reaches the
-    area late, by a uniform part of ``late_s``.
+    ``missing``: share of the area's readings that the scan lacks. ``late``: probability that the scan reaches the area
+    late, by a uniform part of ``late_s``.
     """
 
     missing: float = 0.0
@@ -72,7 +72,7 @@ class Faults:
 
     @property
     def over_s(self) -> float:
-        """When the last event is over, s since the start of the run; before that there is no verdict."""
+        """End of the last event, s since the start of the run; there is no verdict before it."""
         return max((event.over_s for event in self.events), default=0.0)
 
 
@@ -150,7 +150,7 @@ def _build_link(
 
 
 def _find_lie_problems(links: Sequence[LinkTable]) -> Iterable[str]:
-    """A direction that takes the lie of the other one back can tell none of its own."""
+    """Lies that the other direction takes back while it has a lie of its own."""
     liars = {(link.from_, link.to): i for i, link in enumerate(links, 1) if link.lie != LieTable()}
     for i, link in enumerate(links, 1):
         if link.lie.both_ways and (back := liars.get((link.to, link.from_))):
@@ -161,7 +161,7 @@ def _find_lie_problems(links: Sequence[LinkTable]) -> Iterable[str]:
 
 
 def _invert(lie: LieTable) -> LieTable:
-    """What makes a value of who has believed ``lie`` one that agrees with the truth again."""
+    """The lie that takes ``lie`` back: it turns a value computed from ``lie`` into one that agrees with the truth."""
     offsets = {key: -getattr(lie, key) / lie.scale for key in ("p_mw", "q_mvar", "vm_pu", "va_deg")}
     return LieTable(**offsets, scale=1 / lie.scale)
 
@@ -184,7 +184,7 @@ def change_links(faults: Faults, changes: LinkChanges) -> Faults:
 
 
 def find_name_problems(table: FaultsTable, areas: Collection[str] | None, routers: int) -> Iterable[str]:
-    """Names of no area or process; nothing as long as no areas are known (None). ``routers``: how many there are."""
+    """Names that are no area or process; nothing where ``areas`` is None. ``routers``: number of routers."""
     if areas is None:
         return
     known = listed(areas)
@@ -209,7 +209,7 @@ def find_name_problems(table: FaultsTable, areas: Collection[str] | None, router
 
 
 def find_link_problems(table: FaultsTable, partition: Partition) -> Iterable[str]:
-    """Links between areas that are no neighbours, or that are given twice."""
+    """Links and cuts between areas that are no neighbours, links that are given twice, and lies of both directions."""
     links = find_links(partition)
     areas = {area.name for area in partition.areas}
     pairs = listed([f"{a} to {b}" for a, b in links]) or "none"

@@ -1,4 +1,4 @@
-"""Events of a scenario that could not happen, or not as stated, after those before them: nothing is counted in vain."""
+"""Problems of events that cannot happen, or not as stated, after the events before them."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ class BurstTable(Table):
 
 
 class LoadFaultTable(Table):
-    """``load``: what load messages say is changed on the way."""
+    """``load``: changes of the content of load messages on the way."""
 
     p_mw: float = 0.0
     q_mvar: float = 0.0
@@ -34,7 +34,7 @@ class LoadFaultTable(Table):
 
 
 class LieTable(Table):
-    """``lie``: what messages of a strategy say is changed on the way."""
+    """``lie``: changes of the content of a strategy's messages on the way."""
 
     p_mw: float = 0.0
     q_mvar: float = 0.0
@@ -49,7 +49,7 @@ class LieTable(Table):
 
 
 class LinkTable(Table):
-    """One ``[[faults.link]]``: from the sending to the receiving area; what is not given is as in ``[faults]``."""
+    """One ``[[faults.link]]``: from the sending to the receiving area; keys not given are as in ``[faults]``."""
 
     from_: str = Field(alias="from", description="the area that sends")
     to: str = Field(description="the area that receives")
@@ -91,12 +91,12 @@ class EventTable(Table):
 
     @property
     def kind(self) -> str:
-        """Which of the five it is."""
+        """The kind of the event: the key that is given, one of five."""
         return next(kind for kind in (*MOMENTARY, *LASTING) if getattr(self, kind) is not None)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Whom it concerns: one process, or the two areas of a cut."""
+        """The names concerned: one process, or the two areas of a cut."""
         value = getattr(self, self.kind)
         return tuple(value) if isinstance(value, list) else (value,)
 
@@ -116,7 +116,7 @@ class EventTable(Table):
 
 
 class FaultsTable(Table):
-    """``[faults]``: of every directed link between neighbours, and what happens to processes."""
+    """``[faults]``: faults of links, telemetry, load messages and clocks, and events of processes."""
 
     loss: Probability = Field(default=0.0, description="probability that a message is lost, 0 to 1")
     burst: BurstTable | None = None

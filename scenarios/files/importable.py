@@ -1,4 +1,4 @@
-"""Files of other projects in place of a scenario file: which command takes them over."""
+"""Rejection of other projects' files in place of a scenario file, with the command that imports them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ LOOKED_AT = 1_000_000  # bytes at either end of a file: the marks stand near the
 
 
 def reject_importable(path: Path) -> None:
-    """That ``path``, which is to be a scenario file, is none that ``dsse import`` takes.
+    """Rejects a ``path`` given as a scenario file where ``dsse import`` takes the file.
 
     Raises:
-        InvalidInputError: it is one; what it is, and the command.
+        InvalidInputError: with the kind of the file, and the command.
     """
     kind = _kind_of(path)
     if kind:

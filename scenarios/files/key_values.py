@@ -34,7 +34,7 @@ def parse_settings(settings: Sequence[str], what: str) -> dict[str, object]:
 
 
 def parse_value(text: str) -> object:
-    """The value that TOML reads from ``text``; what is none in TOML is a word, which needs no quotes."""
+    """The value that TOML reads from ``text``; a text that is no TOML value is a word, which needs no quotes."""
     try:
         value: object = parse_toml(f"value = {text}")["value"]
     except ValueError:

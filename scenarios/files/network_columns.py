@@ -1,4 +1,4 @@
-"""Buses and branches of a network file in columns, per unit and radians: whichever form they have in the file."""
+"""Buses and branches of a network file as columns, in per unit and radians, from either form of the file."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ class BusArrays:
 class BranchArrays:
     """P.u. and rad; shape (n_branch,) each. ``id``: empty or None where a branch is called by its ends.
 
-    ``i_max``, ``s_max``: NaN where a branch has no such rating. ``in_ohm``: whether the file gives the impedance so;
-    ``from_kv``, ``to_kv``: nominal voltages there, NaN of a bus that is not defined.
+    ``i_max``, ``s_max``: NaN where a branch has no such rating. ``in_ohm``: true where the file gives the impedance in
+    ohm; ``from_kv``, ``to_kv``: nominal voltages there, NaN of a bus that is not defined.
     """
 
     id: list[str | None]
@@ -159,7 +159,7 @@ def default_branch_id(from_bus: int, to_bus: int, taken: Collection[str | None])
 def lie_within_ranges(
     base_mva: float, buses: BusArrays, branches: BranchArrays | None, generators: Sequence[Generator]
 ) -> bool:
-    """Whether ``find_range_problems``, which looks at each number by itself, would find none."""
+    """True where ``find_range_problems``, which looks at each number by itself, finds no problem."""
     holding = [g for g in generators if g.control is not Control.POWER]
     checked: list[tuple[Range, object, float]] = [
         (BASE_POWER, base_mva, 1.0),

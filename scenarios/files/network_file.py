@@ -61,7 +61,10 @@ def load_network(path: Path) -> Network:
 
 
 def _find_unit_problems(branches: BranchArrays, *, is_list: bool) -> Iterator[str]:
-    """``is_list``: whether the file has a list of branches, not a list of each key."""
+    """Branches between two voltages with an impedance in ohm or a rating in ampere, which are ambiguous there.
+
+    ``is_list``: true where the file has a list of branches, false where it has a list for each key.
+    """
     from_kv, to_kv = branches.from_kv, branches.to_kv
     between = (from_kv != to_kv) & ~np.isnan(from_kv) & ~np.isnan(to_kv)
     in_ampere = ~np.isnan(branches.i_max)

@@ -33,12 +33,16 @@ Form = TypeVar("Form", "BranchTable", "BranchColumns")
 
 
 def is_in_ohm(given: BranchTable | BranchColumns) -> bool:
-    """Whether impedances are in ohm; else they are in p.u."""
+    """True where impedances are in ohm, false where they are in p.u."""
     return given.r_ohm is not None
 
 
 def has_one_complete_impedance(given: Form) -> Form:
-    """The same, whose r, x, b and g are all in one of the two units."""
+    """``given``, checked: r and x are there, and r, x, b and g are all in one of the two units.
+
+    Raises:
+        ValueError: the impedance is incomplete, or in both units.
+    """
     ohm = (given.r_ohm, given.x_ohm, given.b_us, given.g_us)
     pu = (given.r_pu, given.x_pu, given.b_pu, given.g_pu)
     if ohm != NOTHING and pu != NOTHING:

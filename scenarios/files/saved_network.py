@@ -1,4 +1,4 @@
-"""Network files as they are written: TOML with a table for each bus and branch, or JSON with a list for each key."""
+"""Writer of network files: TOML with a table for each bus and branch, or JSON with a list for each key."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _branch_columns(network: Network) -> dict[str, list[Any]]:
 
 
 def _find_id_problems(network: Network) -> Iterable[str]:
-    """Ids that are neither written nor what ``load_network`` would call the branch."""
+    """Ids that are neither written nor those that ``load_network`` gives to the branches."""
     taken: set[str | None] = {branch.id for branch in network.branches if _written_id(branch)}
     for branch in network.branches:
         if not _written_id(branch):
@@ -102,7 +102,7 @@ def _find_id_problems(network: Network) -> Iterable[str]:
 
 
 def _written_id(branch: Branch) -> str | None:
-    """The id where the file must give it."""
+    """The id where the file gives it; None where ``load_network`` makes it from the ends, or a file cannot hold it."""
     is_default = branch.id.partition("#")[0] == f"{branch.from_bus}-{branch.to_bus}"
     return None if is_default or not BRANCH_ID.fullmatch(branch.id) else branch.id
 

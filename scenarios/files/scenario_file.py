@@ -69,7 +69,7 @@ def _parse_zero_injection(value: object) -> Literal["virtual", "measured"] | tup
 
 
 ZeroInjection = Annotated[Literal["virtual", "measured"] | tuple[int, ...], PlainValidator(_parse_zero_injection)]
-"""Which buses inject exactly nothing: all without load and source, none, or those listed."""
+"""The buses that inject exactly nothing: all without load and source, none, or those listed."""
 AreaSelection = Annotated[tuple[str, ...] | None, PlainValidator(_parse_areas)]
 """The listed areas; None means all."""
 BranchSelection = Annotated[tuple[str, ...] | None, PlainValidator(_parse_branches)]
@@ -113,7 +113,7 @@ def _kind_of_areas(value: object) -> str:
 
 
 def _reject_both(value: object) -> object:
-    """Lists of buses beside another way to say what the areas are."""
+    """Rejects lists of buses beside a count or switches; returns ``value``."""
     if isinstance(value, dict):
         lists = [name for name, item in value.items() if isinstance(item, dict)]
         how = [name for name in ("count", "switches") if name in value.keys() - lists]
@@ -133,7 +133,7 @@ Areas = Annotated[
 
 
 class IntervalTable(Table):
-    """How often meters read, and how old their readings may be."""
+    """Interval of meters, and how their readings age."""
 
     period_s: Seconds | None = Field(default=None, description="interval of these meters, s")
     aging_s: Seconds | None = None
@@ -245,7 +245,7 @@ class TelemetryTable(Table):
 
     @property
     def numbered_by(self) -> Ticks:
-        """``ticks``, or what its default is."""
+        """``ticks``, or its default: ``clock`` with source ``live``, else ``gateway``."""
         return self.ticks or ("clock" if self.source == "live" else "gateway")
 
 
@@ -270,7 +270,7 @@ class QualityTable(Table):
 
 
 class TolerancesTable(Table):
-    """``[tolerances]``: when areas agree, and when an estimator stops (rad and p.u.)."""
+    """``[tolerances]``: limits of the agreement of areas and of an estimator's last step (rad and p.u.)."""
 
     consensus_va_rad: Positive = 1e-6
     consensus_vm_pu: Positive = 1e-6
@@ -280,7 +280,7 @@ class TolerancesTable(Table):
 class RunTable(Table):
     """``[run]``.
 
-    ``beat_s``: time between two heartbeats at rest; ``timeout_s``: when a run without consensus ends. ``scan_s``: time
+    ``beat_s``: time between two heartbeats at rest; ``timeout_s``: limit of a run without consensus. ``scan_s``: time
     between two scans, None where there is one only.
     """
 

@@ -25,7 +25,7 @@ def find_scenario(name: str) -> Path:
     """The file of the shipped scenario ``name``.
 
     Raises:
-        InvalidInputError: there is none of this name; which there are.
+        InvalidInputError: no shipped scenario has this name; lists those that are shipped.
     """
     shipped = find_shipped("shipped")
     if name not in shipped:

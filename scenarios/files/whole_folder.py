@@ -1,4 +1,4 @@
-"""Files that belong together come into a folder all at once, or not at all."""
+"""Writer of files that belong together: all of them come into a folder at once, or none."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ def _make(folder: Path) -> None:
 
 @contextmanager
 def written_whole(folder: Path, make: Callable[[Path], None] = _make) -> Iterator[Path]:
-    """A folder to write into; at the end of the block the files in it stand in ``folder``, in place of others there.
+    """A folder to write into; at the end of the block its files replace those of the same name in ``folder``.
 
-    After any error ``folder`` is as before, and gone with what was missing above it if it was not there. ``make`` makes
-    it and what is missing above.
+    After an error in the block ``folder`` is as before, and the folders that were made for it are removed. ``make``
+    makes ``folder`` with its missing parents.
 
     Raises:
         OSError: naming ``folder``, where it cannot be made or written, or a disk is full.

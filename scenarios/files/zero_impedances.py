@@ -1,4 +1,4 @@
-"""Branches that are none, beside the others of a whole network: what is wrong with them, and what to do."""
+"""Problems of branches without impedance beside the others of a whole network, and their cure."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from dsse_core.grid.physical_ranges import find_range_problems
 def find_zero_impedance_problems(
     network: Network, names: Mapping[str, str] | None = None, cure: str = "merge its two buses into one"
 ) -> Iterator[str]:
-    """A problem for each branch of a whole ``network`` that is none, being too short beside the others.
+    """A problem for each branch of a whole ``network`` with too little impedance beside the others.
 
-    ``names``: branch id -> what its source calls it; ``cure``: what to do there.
+    ``names``: branch id -> its name in the source of the network; ``cure``: what to do there.
     """
     for branch in network.find_zero_impedances():
         name = (names or {}).get(branch.id)
@@ -26,10 +26,13 @@ def find_zero_impedance_problems(
 
 
 def reject_zero_impedances(network: Network, names: Mapping[str, str], cure: str) -> None:
-    """Reject a whole ``network`` of another project's file for them; see ``find_zero_impedance_problems``.
+    """Rejects a ``network`` from another project's file for its branches without impedance.
+
+    See ``find_zero_impedance_problems``.
 
     Raises:
-        InvalidInputError: a problem for each; or, as the median counts, for each number that no grid has.
+        InvalidInputError: a problem for each such branch; or, since the median counts, for each number that no grid
+            has.
     """
     if problems := list(find_range_problems(network)) or list(find_zero_impedance_problems(network, names, cure)):
         raise InvalidInputError(f"network {network.name!r}", problems)

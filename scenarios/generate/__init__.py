@@ -1,1 +1,1 @@
-"""Made-up feeders, and where a network is cut into areas."""
+"""Generator of feeders, and cuts of a network into areas."""

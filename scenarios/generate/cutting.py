@@ -1,8 +1,8 @@
-"""Where to cut a network into areas: into a number of areas of about equal size, or at named switches.
+"""Cuts of a network into areas: into a number of areas of about equal size, or at named switches.
 
-Cuts lie at articulation points only: an area is made of whole blocks (``biconnected``), so that loops stay inside
-an area and the areas form a tree. Areas are called area1, area2, ... in the order in which a walk from the
-substation, bus after bus, meets them.
+Cuts lie at articulation points only: an area is made of whole blocks (``biconnected``), so that loops stay inside an
+area and the areas form a tree. Areas are called area1, area2, ... in the order in which a walk from the substation, bus
+after bus, meets them.
 
 The size of an area is the number of buses below its blocks: those that it owns, the substation not counted.
 """
@@ -101,9 +101,10 @@ def _find_switch_problems(network: Network, blocks: Sequence[Block], switches: S
 
 @dataclass(frozen=True, slots=True)
 class _Hanging:
-    """What hangs where. ``below``: of each block under which any do, for each such bus the blocks whose top it is.
+    """Blocks by the bus where they hang. ``below``: (block, a list of the blocks under each of its buses with any).
 
-    Along a trunk that is a single block at a single bus, nearly everywhere in a feeder: there it stands by itself.
+    Along a trunk, nearly everywhere in a feeder, a single block hangs under a block: its number stands in place of the
+    lists.
     """
 
     sizes: list[int]
@@ -116,8 +117,9 @@ class _Hanging:
 class _Packing:
     """Blocks in bundles: blocks that hang at one bus, with all that is joined to them below.
 
-    ``leader``: of each block the one that stands for its bundle, where that is another. ``joined``: whether the bundle
-    that it stands for is joined to the block above; else it is an area. ``weight``: of a leader that of the bundle.
+    ``leader``: block -> the block that stands for its bundle, where that is another. ``joined``: of a leader, true
+    where its bundle is joined to the block above, false where it is an area. ``weight``: of a leader, that of its
+    bundle.
     """
 
     weight: list[int]
@@ -168,7 +170,10 @@ def _find_hanging(blocks: Sequence[Block]) -> _Hanging:
 
 
 def _merge_small(hanging: _Hanging, bound: int) -> _Hanging:
-    """A block with all below it in one, where that is not above ``bound``: any larger bound joins the same."""
+    """``hanging`` with each block and all below it as one, where together they are not above ``bound``.
+
+    Any larger bound joins the same blocks.
+    """
     sizes, joined, below = hanging.sizes.copy(), bytearray(hanging.joined), []
     whole = hanging.sizes.copy()
     for i, groups in hanging.below:
@@ -184,12 +189,12 @@ def _merge_small(hanging: _Hanging, bound: int) -> _Hanging:
 
 
 def _pack(hanging: _Hanging, bound: int) -> _Packing:
-    """As few areas as found in one walk towards the substation, none larger than ``bound`` but single blocks.
+    """The areas that one walk towards the substation finds, few, none larger than ``bound`` but single blocks.
 
-    Kundu and Misra's greedy rule for trees ("A linear tree partitioning algorithm", SIAM J. Comput. 6 (1977)
-    151-154): whatever does not fit is cut off, the heaviest first. Blocks that hang at one bus need not stay with the
-    block above: they are bundled, the lightest bundle may be joined. Any two bundles at a bus exceed ``bound``, and
-    from this follows by their exchange argument that twice the smallest possible bound needs no more areas.
+    Kundu and Misra's greedy rule for trees ("A linear tree partitioning algorithm", SIAM J. Comput. 6 (1977) 151-154):
+    the parts that do not fit are cut off, the heaviest first. Blocks that hang at one bus need not stay with the block
+    above: they are bundled, and the lightest bundle may be joined. Any two bundles at a bus exceed ``bound``. By their
+    exchange argument it follows that twice the smallest possible bound needs no more areas.
     """
     weight, leader = hanging.sizes.copy(), dict[int, int]()
     joined = bytearray(hanging.joined)
@@ -211,9 +216,9 @@ def _pack(hanging: _Hanging, bound: int) -> _Packing:
 
 
 def _bundle(group: Sequence[int], bound: int, weight: list[int], leader: dict[int, int]) -> int:
-    """Put the blocks of ``group`` into bundles, none heavier than ``bound`` but single blocks, any two heavier.
+    """Put the blocks of ``group`` into bundles: none heavier than ``bound`` but single blocks, any two heavier.
 
-    Returns the lightest; ``weight`` and ``leader`` are changed.
+    Returns the leader of the lightest bundle; ``weight`` and ``leader`` are changed.
     """
     leaders: list[int] = []
     lightest: list[tuple[int, int]] = []  # weight, and where in leaders
@@ -243,7 +248,7 @@ def _read_off(blocks: Sequence[Block], packing: _Packing) -> list[list[Block]]:
 
 
 def _name_areas(network: Network, areas: Sequence[Sequence[Block]]) -> dict[str, list[int]]:
-    """``areas``: the blocks of each, every block before the one above it."""
+    """Area name -> its buses in network order. ``areas``: the blocks of each, every block before the one above it."""
     assert network.slack is not None  # find_blocks
     at_top: dict[int, dict[str, int]] = {}  # the bus where a walk enters areas -> their branches -> area
     for i, area in enumerate(areas):

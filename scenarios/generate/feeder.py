@@ -1,4 +1,4 @@
-"""Made-up radial medium-voltage feeders of any size, with typical values; docs/how-to/generate.md says which.
+"""Made-up radial medium-voltage feeders of any size, with typical values; docs/how-to/generate.md lists them.
 
 The same arguments give the same network, to the last digit: lengths are whole metres, loads whole watts and vars.
 """
@@ -194,7 +194,7 @@ def _build(branches: tuple[Branch, ...], load: np.ndarray, pv: np.ndarray) -> Ne
 
 
 def _find_factor(network: Network, tree: Tree, lowest_vm: float) -> float:
-    """By what loads and PV have to be multiplied, to 6 digits: secant steps from the drop without losses.
+    """Factor of loads and PV for ``lowest_vm``, to 6 digits: secant steps from the drop without losses.
 
     Raises:
         InvalidInputError: the power flow finds no such load.

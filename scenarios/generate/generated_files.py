@@ -39,7 +39,7 @@ injection = {{ buses = "all", sigma_percent = {injection_percent} }}
 beat_s = {beat_s}
 """
 SHORTEST_HEARTBEAT_S, LONGEST_HEARTBEAT_S = 0.2, 10.0
-REPEATS_PER_S = 100  # of all areas together, each with its whole state: what one who watches has to read
+REPEATS_PER_S = 100  # of all areas together, each with its whole state: the load of a watcher
 
 
 def write_generated(

@@ -15,10 +15,10 @@ from scenarios.importers.imported import Remark, add_shunts, fuse, fused_remarks
 
 
 def fuse_zero_impedances(network: Network) -> tuple[Network, list[Remark]]:
-    """``network`` with the two buses of each branch without impedance as one, and what became of the rest.
+    """``network`` with the two buses of each branch without impedance as one, and remarks on the changes.
 
-    Loads, shunts and sources add up at the remaining bus. A branch both ends of which are now at it carries nothing
-    and is left out; its charging stays as a shunt. The others get the ids that their new ends give.
+    Loads, shunts and sources add up at the remaining bus. A branch both ends of which are now at it carries nothing and
+    is left out; its charging stays as a shunt. The others get the ids that their new ends give.
 
     Raises:
         InvalidInputError: a transformer would be fused, or left out, whose ratio keeps the two voltages apart;

@@ -1,4 +1,4 @@
-"""What every importer hands over, and the arithmetic that they share: readings combined, open ends folded away."""
+"""The result of every importer, and the arithmetic that they share: readings combined, open ends folded away."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NO_INFORMATION = f"with a standard deviation above {LARGEST_SIGMA:g} p.u., infin
 
 @dataclass(frozen=True, slots=True)
 class Remark:
-    """Something that a reader of the source must know: what was done, to what."""
+    """A remark for readers of the source: the change, and its place."""
 
     what: Literal["fused", "changed", "left out", "note"]
     text: str
@@ -30,10 +30,10 @@ class Remark:
 
 @dataclass(frozen=True)
 class Imported:
-    """A network, and what its meters read, as another project's file has them; p.u. and rad.
+    """A network and the readings of its meters, as another project's file has them; p.u. and rad.
 
-    ``converted``: kind of element -> how many. ``zero_injection``: as in a scenario file. ``substation``: where its
-    voltage is metered, the slack bus if None.
+    ``converted``: kind of element -> how many. ``zero_injection``: as in a scenario file. ``substation``: bus of its
+    voltage meter, the slack bus if None.
     """
 
     network: Network
@@ -96,14 +96,14 @@ def sum_readings(meter: Meter, readings: Sequence[tuple[float, float]]) -> Measu
 
 
 def loop_shunt(branch: Branch) -> complex:
-    """What a branch draws whose two ends are at one bus, as an admittance in p.u.: the sum of its four."""
+    """Draw of a branch with both ends at one bus, as an admittance in p.u.: the sum of its four."""
     ends = (Bus(branch.from_bus, 1.0), Bus(branch.from_bus + 1, 1.0))
     apart = replace(branch, to_bus=branch.from_bus + 1, in_service=True)
     return complex(build_admittance(Network("loop", 1.0, ends, (apart,))).ybus.toarray().sum())
 
 
 def open_end_shunt(branch: Branch, connected: int) -> complex:
-    """What a branch with its other end open draws at bus ``connected``, as an admittance in p.u.
+    """Draw of a branch at bus ``connected`` with its other end open, as an admittance in p.u.
 
     With the open end eliminated: ``y = y_cc - y_co y_oc / y_oo``.
     """
@@ -185,10 +185,10 @@ def fused_remarks(representative: Mapping[int, int], by: str) -> list[Remark]:
 def find_source_problems(
     sources: Sequence[tuple[str, int]], island_of: Mapping[int, int], how_to_split: str
 ) -> Iterator[str]:
-    """Why a grid has not exactly one substation, and how to make of each island a grid that has.
+    """Problems of a grid without exactly one substation; for several islands, how to make a grid of each.
 
     ``sources``: of those that hold voltage and angle, the name and the bus. ``island_of``: bus -> any mark of its
-    island; a bus that is in none is left out.
+    island; a source at a bus without island is left out.
     """
     islands: dict[int, list[str]] = {}
     for name, bus in sources:

@@ -1,4 +1,4 @@
-"""What ``dsse import`` writes: a network file, a scenario on it, the readings if there are any, and what was done."""
+"""Files that ``dsse import`` writes: a network, a scenario on it, the readings if there are any, and a summary."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def write_imported(
 ) -> tuple[Path, str]:
     """Write the files into ``folder``; the scenario's path, and a summary of what was converted.
 
-    ``check``: raises where the scenario at a path is not as it should be. Then, as after any other error, neither the
-    files nor the folders made for them stay.
+    ``check``: raises where the scenario at a path is not sound. Then, as after any other error, neither the files nor
+    the folders made for them stay.
 
     Raises:
         InvalidInputError: one of the files is there already, or the network cannot be cut into ``n_area`` areas.

@@ -1,4 +1,4 @@
-"""The cells of a CSV file, found all at once by where they stand: of a large grid there are some millions."""
+"""The cells of a CSV file, found all at once by their positions: the file of a large grid has millions of cells."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Cells:
-    """Rows of as many cells as there are ``titles``: where each begins and ends in ``raw``, (n_row, n_column)."""
+    """Rows with a cell for each of ``titles``: begin and end of each cell in ``raw``, (n_row, n_column)."""
 
     titles: list[str]
     raw: bytes
@@ -21,18 +21,22 @@ class Cells:
 
     @cached_property
     def are_filled(self) -> np.ndarray:
-        """Which cells are not empty, (n_row, n_column)."""
+        """True where a cell is not empty, (n_row, n_column)."""
         return np.asarray(self.end > self.start)
 
     @cached_property
     def filled(self) -> list[bytes]:
-        """What stands in those, row by row."""
+        """Contents of the cells that are not empty, row by row."""
         rows = self.raw[self.raw.index(b"\n") + 1 :]
         return list(filter(None, rows.replace(b",", b"\n").split(b"\n")))
 
 
 def split_cells(text: str) -> Cells | None:
-    """None where a row is not as long as the first, ``text`` is no CSV, or a cell has a comma or a line end in it."""
+    """The cells of ``text``; None where they are not plain.
+
+    Cells are plain where ``text`` is CSV, all rows have the length of the first, and no cell contains a comma or a line
+    end.
+    """
     text = text if '"' in text else text.replace("\r\n", "\n").removesuffix("\n")
     if '"' in text or "\r" in text or "\n\n" in f"\n{text}":  # quoted cells, other line ends, empty lines
         if (plain := _write_plain(text)) is None:
@@ -52,7 +56,7 @@ def split_cells(text: str) -> Cells | None:
 
 
 def _write_plain(text: str) -> str | None:
-    """The same table without quotes and empty lines."""
+    """The same table without quotes and empty lines; None where it is not plain."""
     try:
         rows = [row for row in csv.reader(io.StringIO(text, newline=""), strict=True) if row]
     except csv.Error:

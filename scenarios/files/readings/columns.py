@@ -1,4 +1,4 @@
-"""A readings file without a mistake, column by column: of a large grid it has half a million rows."""
+"""Column-by-column reader of a readings file without a mistake: that of a large grid has half a million rows."""
 
 from __future__ import annotations
 
@@ -42,12 +42,15 @@ class SoundReadings:
 
     @property
     def readings(self) -> Records[Measurement]:
-        """All, of one scan."""
+        """All readings, of a file of one scan."""
         return Records(Measurement, {"meter": self.meters, "value": self.values, "sigma": self.sigmas})
 
 
 def read_sound_columns(text: str, network: Network, *, takes_scans: bool = False) -> SoundReadings | None:
-    """What ``ReadingRows`` reads; None where anything is unusual, which it then names or takes."""
+    """The readings of ``text`` as ``ReadingRows`` reads them; None where anything is unusual.
+
+    ``ReadingRows`` then reads the unusual text, or names its problems.
+    """
     if (cells := split_cells(text)) is None:
         return None
     checked = ReadingRows(network, takes_scans)
@@ -76,20 +79,23 @@ def read_sound_columns(text: str, network: Network, *, takes_scans: bool = False
 
 
 def _find_units(are_filled: np.ndarray) -> np.ndarray | None:
-    """In which pair of ``are_filled`` (n, 2 n_unit) each row has its value and sigma, (n,); None where not in one."""
+    """The pair of columns of ``are_filled`` (n, 2 n_unit) with value and sigma of each row, (n,).
+
+    None where a row does not fill exactly one pair.
+    """
     of_value, of_sigma = are_filled[:, ::2], are_filled[:, 1::2]
     is_sound = (of_value == of_sigma).all() and (of_value.sum(axis=1) == 1).all()
     return of_value.argmax(axis=1) if is_sound else None
 
 
 def _read_scans(cells: Sequence[bytes]) -> Sequence[str] | None:
-    """The scan of each row; None where one has blanks around it."""
+    """The scan of each row; None where the name of a scan has blanks around it."""
     names = {cell: cell.decode() for cell in set(cells)}
     return [names[cell] for cell in cells] if all(name == name.strip() for name in names.values()) else None
 
 
 def _have_doubles(scans: Sequence[str] | None, column: np.ndarray) -> bool:
-    """Whether a scan, or the only one, has a meter, by its ``column`` (n,), twice."""
+    """True where a scan has a meter twice. ``column`` (n,): meter of each row; ``scans``: None for a single scan."""
     place = column
     if scans is not None:
         row = {scan: k for k, scan in enumerate(dict.fromkeys(scans))}
@@ -98,12 +104,16 @@ def _have_doubles(scans: Sequence[str] | None, column: np.ndarray) -> bool:
 
 
 def _read_numbers(cells: Sequence[bytes]) -> np.ndarray:
-    """Raises ValueError where one is none."""
+    """The numbers in ``cells``, (n,).
+
+    Raises:
+        ValueError: a cell is no number.
+    """
     return np.array(list(map(float, cells)))
 
 
 def _find_sizes(units: Sequence[str], unit: np.ndarray, meters: Records[Meter], network: Network) -> np.ndarray | None:
-    """What one of the ``unit`` of each of ``meters`` is in p.u. or rad, (n,); None where one cannot be in its unit."""
+    """Size of the ``unit`` of each of ``meters`` in p.u. or rad, (n,); None where a meter cannot be in its unit."""
     kind = meters.columns["kind"]
     if not np.array([[one in UNITS[name] for one in KIND] for name in units])[unit, kind].all():
         return None
@@ -115,7 +125,7 @@ def _find_sizes(units: Sequence[str], unit: np.ndarray, meters: Records[Meter], 
 
 @np.errstate(over="ignore", invalid="ignore")  # a number that is too large is no sound one
 def _are_possible(kind: np.ndarray, values: np.ndarray, sigmas: np.ndarray, network: Network) -> bool:
-    """Whether ``ReadingRows`` would take all values and sigmas, p.u. and rad, of meters of a ``kind``, (n,) each."""
+    """True where ``ReadingRows`` takes all values and sigmas, p.u. and rad, of meters of a ``kind``, (n,) each."""
     if not (np.isfinite(values).all() and (sigmas >= SMALLEST_SIGMA).all() and (sigmas <= LARGEST_SIGMA).all()):
         return False
     sizes = np.array([network.base_mva if size is None else size for _, size in map(RANGES.__getitem__, KIND)])
@@ -125,7 +135,7 @@ def _are_possible(kind: np.ndarray, values: np.ndarray, sigmas: np.ndarray, netw
 
 
 def _sizes_of(unit: str, base_kv: np.ndarray, base_mva: float) -> np.ndarray | float:
-    """``unit_size`` of meters at buses of these base voltages."""
+    """``unit_size`` of meters at buses with ``base_kv`` (n,)."""
     match unit:
         case "mw" | "mvar":
             return 1 / base_mva

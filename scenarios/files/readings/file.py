@@ -1,7 +1,8 @@
-"""Readings files: what real meters read, as CSV with a unit in each column name; per unit and radians come out.
+"""Readings files: readings of real meters as CSV with a unit in each column name; per unit and radians come out.
 
 The header is ``meter``, of many scans ``scan``, and pairs ``value_UNIT,sigma_UNIT``; each row fills the one pair whose
 unit it is in.
+
 docs/reference/scenario-files.md explains the format.
 """
 
@@ -29,10 +30,10 @@ MOST_PLACES = 50_000_000  # 400 MB each of values and standard deviations
 
 @dataclass(frozen=True)
 class Scans:
-    """Readings of many scans of one grid, p.u. and rad. ``names`` (n_scan,): what the file calls them, in its order.
+    """Readings of many scans of one grid, p.u. and rad. ``names`` (n_scan,): their names in the file, in its order.
 
-    ``meters``: all that read something in any scan. ``values``, ``sigmas`` (n_scan, n_meas): nan where a scan lacks
-    the reading.
+    ``meters``: all with a reading in any scan. ``values``, ``sigmas`` (n_scan, n_meas): nan where a scan lacks the
+    reading.
     """
 
     names: tuple[str, ...]
@@ -42,7 +43,7 @@ class Scans:
 
     @property
     def are_named(self) -> bool:
-        """Whether the file has a column ``scan``."""
+        """True where the file has a column ``scan``."""
         return self.names != ("",)
 
 
@@ -57,7 +58,7 @@ def load_readings(path: Path, network: Network) -> Records[Measurement]:
 
 
 def load_scans(path: Path, network: Network) -> Scans:
-    """Read a readings file that may have a column ``scan``; all of it is one scan, "", where it has none.
+    """Read a readings file that may have a column ``scan``; without it the whole file is one scan, "".
 
     Raises:
         InvalidInputError: as ``load_readings``; or there are more places for readings than MOST_PLACES.

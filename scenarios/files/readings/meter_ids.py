@@ -1,4 +1,4 @@
-"""Ids of meters read all at once, letter by letter of all of them."""
+"""Reader of meter ids that takes all ids at once, letter by letter."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ UNKNOWN = -1
 
 
 def read_meter_ids(raw: bytes, start: np.ndarray, end: np.ndarray, network: Network) -> Records[Meter] | None:
-    """The meters whose ids stand between ``start`` and ``end`` (n,) of ``raw``, UTF-8; None where one is no id.
+    """The meters whose ids stand between ``start`` and ``end`` (n,) of ``raw``, UTF-8; None where a text is no id.
 
-    Whether they fit ``network`` is not looked at.
+    Places that ``network`` does not have are not rejected here.
     """
     letters = np.frombuffer(raw, np.uint8)
     at = _find_first(letters, "@", start)
@@ -38,7 +38,7 @@ def _find_first(letters: np.ndarray, wanted: str, start: np.ndarray) -> np.ndarr
 
 
 def _read_kinds(letters: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The positions in KINDS of the names between ``start`` and ``end`` (n,)."""
+    """The positions in KINDS of the names between ``start`` and ``end`` (n,); UNKNOWN where a name is no kind."""
     kind = np.full(len(start), UNKNOWN)
     for k, name in enumerate(KINDS):
         alike = np.flatnonzero(end - start == len(name))
@@ -49,7 +49,7 @@ def _read_kinds(letters: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.n
 
 
 def _read_numbers(letters: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The whole numbers between ``start`` and ``end`` (n,); UNKNOWN where one is none, or too long for a bus."""
+    """Whole numbers between ``start`` and ``end`` (n,); UNKNOWN where a text is no number or too long for a bus."""
     length = end - start
     number = np.where((length > 0) & (length <= LONGEST_BUS), 0, UNKNOWN)
     for i in range(min(int(length.max()), LONGEST_BUS)):

@@ -1,4 +1,4 @@
-"""The rows of a readings file one by one: what each says, and everything that is wrong with it."""
+"""Row-by-row reader of a readings file, with every problem of each row."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ OTHER_SEPARATORS = ";\t|"
 
 @dataclass
 class ReadingRows:
-    """The rows read so far, and what is wrong with them. ``scans``: of each reading, "" without such a column.
+    """The rows read so far, and their problems. ``scans``: of each reading, "" without such a column.
 
-    ``takes_scans``: whether the second column may be ``scan``.
+    ``takes_scans``: true where the second column may be ``scan``.
     """
 
     network: Network
@@ -38,7 +38,7 @@ class ReadingRows:
 
     @property
     def takes_many(self) -> bool:
-        """Whether there is a column ``scan``."""
+        """True where there is a column ``scan``."""
         return SCAN in self.keys
 
     def take_header(self, header: Sequence[str], line: int = 1) -> None:
@@ -80,7 +80,7 @@ class ReadingRows:
         self.problems += [f"line {line}: {problem}" for problem in found]
 
     def _find_problems(self, row: Sequence[str], line: int) -> Iterator[str]:
-        """Every problem of a row; a row without is added to the readings."""
+        """Every problem of a row. A row without a problem is added to the readings."""
         first = len(self.keys)
         if len(row) != first + 2 * len(self.units):
             yield f"{len(row)} columns, but the header has {first + 2 * len(self.units)}"
@@ -118,7 +118,7 @@ class ReadingRows:
 
 
 def parse_meter(text: str, meant: Suggestions | None = None) -> Meter | str:
-    """The meter with id ``text``, e.g. ``p_flow@3:3-4``; or what is wrong with the id. ``meant``: of many such ids."""
+    """The meter with id ``text``, e.g. ``p_flow@3:3-4``; a problem as text for no id. ``meant``: of many such ids."""
     kind_name, at, place = text.partition("@")
     bus, _, branch = place.partition(":")
     kind = KIND_OF.get(kind_name)

@@ -1,4 +1,4 @@
-"""The units of readings files: which kinds of meter may be given in each, what one is in p.u. or rad, and limits."""
+"""The units of readings files: kinds of meter for each unit, its size in p.u. or rad, and limits of the readings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WRITTEN_IN = {KIND.VM: "pu", KIND.VA: "deg", KIND.CURRENT: "a"} | {
 
 
 def unit_size(unit: str, meter: Meter, network: Network) -> float:
-    """What one ``unit`` is in p.u. or rad; ampere and kV on the base voltage of the meter's bus."""
+    """Size of one ``unit`` in p.u. or rad; ampere and kV on the base voltage of the meter's bus."""
     base_mva = network.base_mva
     match unit:
         case "mw" | "mvar":
@@ -49,4 +49,4 @@ RANGES: Mapping[MeasurementKind, tuple[Range, float | None]] = {
     KIND.Q_INJECTION: (REACTIVE_POWER, None),
     KIND.Q_FLOW: (REACTIVE_POWER, None),
 }
-"""Kind -> what it can read, and how large a p.u. or rad is in that unit; None: as ``base_mva``."""
+"""Kind -> limits of its readings in a unit, and the size of one p.u. or rad in that unit; None: as ``base_mva``."""

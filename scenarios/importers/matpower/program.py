@@ -1,7 +1,7 @@
-"""A MATPOWER case file as the program that it is: its matrices, after the conversions of units that follow them.
+"""A MATPOWER case file executed as a program: its matrices, after the conversions of units that follow them.
 
-Statements other than the known ones are rejected, since they could change the data; readers that look for the
-matrices only take the kW of ``case33bw`` for MW.
+Statements other than the known ones are rejected, since they could change the data; readers that look for the matrices
+only take the kW of ``case33bw`` for MW.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from dsse_core.printable import shortened
 
 PD, QD, BASE_KV, BR_R, BR_X = 2, 3, 9, 2, 3  # columns
 COLUMNS = {"bus": 13, "branch": 11, "gen": 10}
-"""Matrix -> how many columns it has at least."""
+"""Matrix -> its least number of columns."""
 MOST_COLUMNS = {"bus": 17, "branch": 21, "gen": 25}
-"""Matrix -> how many columns mean something to MATPOWER, results of an optimal power flow included."""
+"""Matrix -> number of columns that MATPOWER knows, results of an optimal power flow included."""
 NOT_NEEDED = {"gencost", "areas", "gentype", "genfuel", "genid", "branch_name", "gen_name"}
 """Fields of ``mpc`` that change no power flow."""
 NUMBERS = {"bus": (0, 1), "branch": (0, 1), "gen": (0,)}
@@ -47,7 +47,7 @@ Given = TypeVar("Given")
 @dataclass
 class Case:
     """The program as far as executed. ``changes``: the conversions; ``left_out``: fields that are not read, though they
-    may mean something; ``problems``: what is not understood.
+    may mean something; ``problems``: statements and rows that are not understood.
     """
 
     base_mva: float | None = None
@@ -162,7 +162,7 @@ def _shown(text: str) -> str:
 
 
 def _normalised(statement: str) -> str:
-    """Without blanks, but those between items of a list, which become commas."""
+    """``statement`` without blanks; between items of a list they become commas."""
     text = re.sub(r"\s*,\s*|(?<=[\w\]])\s+(?=\w)", ",", " ".join(statement.split()))
     if text.startswith("function"):
         return text
@@ -189,8 +189,10 @@ def _take_matrix(case: Case, name: str, text: str, line: int) -> None:
 
 
 def _find_row_problems(name: str, cells: Sequence[str], row: Sequence[float], width: int | None) -> Iterator[str]:
-    """What is wrong with a row of matrix ``name``; ``row``: those of its ``cells`` that are numbers; ``width``: of the
-    first row."""
+    """Problems of a row of matrix ``name``.
+
+    ``row``: those of its ``cells`` that are numbers; ``width``: of the first row.
+    """
     if len(row) < len(cells):
         yield f"a row holds more than numbers: {_shown(' '.join(cells))}"
         return
@@ -216,7 +218,7 @@ def _number(cell: str) -> float | None:
 
 
 def _quotient(above: str, below: str) -> float:
-    """As MATPOWER divides: by zero, too, but that is not a number here."""
+    """The quotient; nan for a division by zero, which MATPOWER executes but no computation here can use."""
     return float(above) / float(below) if float(below) else math.nan
 
 

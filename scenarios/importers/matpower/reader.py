@@ -33,7 +33,7 @@ def read_matpower(path: Path) -> Imported:
     """Read a MATPOWER case.
 
     Raises:
-        InvalidInputError: listing every statement that is not understood, and whatever the network cannot hold.
+        InvalidInputError: listing every statement that is not understood, and all that the network cannot hold.
     """
     case = run_program(read_text(path, errors="replace"))
     if case.problems or case.base_mva is None:
@@ -126,7 +126,10 @@ def _build_branches(rows: Matrix, base: float) -> tuple[Branch, ...]:
 
 
 def _build_generators(bus_rows: Matrix, rows: Matrix, base: float) -> tuple[tuple[Generator, ...], list[str]]:
-    """A bus' type says what its generators hold; of those at the reference, one is the slack."""
+    """The generators in service, and the problems of buses with them.
+
+    The type of a bus decides what its generators hold; of those at the reference bus, the first is the slack.
+    """
     kinds = {int(row[BUS_I]): row[BUS_TYPE] for row in bus_rows}
     angles = {int(row[BUS_I]): math.radians(row[VA_BUS]) for row in bus_rows}
     references = [bus for bus, kind in kinds.items() if kind == REF]
@@ -160,7 +163,7 @@ def _build_generators(bus_rows: Matrix, rows: Matrix, base: float) -> tuple[tupl
 
 
 def _find_reference_problems(bus_rows: Matrix, branch_rows: Matrix) -> list[str]:
-    """That there is not one reference, by the islands that branches in service make."""
+    """Problems of a case without exactly one reference, for each island that branches in service make."""
     references = [(f"the reference (type {REF})", int(row[BUS_I])) for row in bus_rows if row[BUS_TYPE] == REF]
     if not references:
         return ["no bus is of type 3 (reference); the network model holds exactly one substation"]

@@ -1,4 +1,6 @@
-"""What a pandapower network must be like before its conversion: whole, and without what no network model here holds."""
+"""Checks of a pandapower network before its conversion: complete, and without elements that no network model here
+holds.
+"""
 
 from __future__ import annotations
 
@@ -35,14 +37,14 @@ COLUMNS = {
 }
 """Element table -> the columns that the conversion uses, and what stands there."""
 BRANCHES = ("line", "trafo", "impedance")
-"""Tables whose numbers matter only where an element is in service; pandapower multiplies those of loads by 0."""
+"""Tables whose numbers are checked only in service; pandapower multiplies those of other tables by 0 instead."""
 ALL_COLUMNS = {name: columns | {"in_service": FLAG} for name, columns in COLUMNS.items()} | {
     "switch": {"bus": PLACE, "element": NUMBER, "et": ANYTHING, "closed": FLAG, "z_ohm": NUMBER},
     "measurement": {"element": NUMBER, "value": NUMBER_OR_NOTHING, "std_dev": NUMBER_OR_NOTHING}
     | dict.fromkeys(("measurement_type", "element_type", "side"), ANYTHING),
 }
 ALWAYS_DIVIDED_BY = ("sn_mva", "vk_percent")
-"""But these columns of theirs, which pandapower divides by whatever is in service."""
+"""Columns of these tables that are checked out of service, too: pandapower divides by them in any case."""
 SHARES = tuple(f"const_{kind}_{part}_percent" for kind in "zi" for part in "pq")
 """Columns that the table of loads may have."""
 SWITCHED = {"b": "bus", "l": "line", "t": "trafo"}
@@ -53,7 +55,9 @@ NO_ELEMENTS = {"controller", "measurement"}
 
 
 def find_broken(net: Any) -> Iterator[str]:
-    """Every missing table or column, reference to what is not there, and number that cannot be computed with."""
+    """Every missing table or column, reference to an index that is not there, and number that cannot be computed
+    with.
+    """
     for name in ("sn_mva", "f_hz"):
         if not _is_positive(net.get(name)):
             yield f"{name} is {net.get(name)!r}; {POSITIVE} is expected"
@@ -111,7 +115,7 @@ def _describe(name: str, column: str, expected: str, bad: list[tuple[Any, Any]])
 
 
 def _is(value: Any, expected: str, there: set[Any]) -> bool:
-    """Whether ``value`` is what is expected; ``there``: the indices that a place may name."""
+    """True where ``value`` is as ``expected``; ``there``: the indices that a PLACE may be."""
     if expected == PLACE:
         return _is_number(value) and value in there
     checks = {POSITIVE: _is_positive, NUMBER: _is_number, NUMBER_OR_NOTHING: _is_number_or_nothing, FLAG: _is_flag}
@@ -131,7 +135,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _is_number_or_nothing(value: Any) -> bool:
-    """Infinite ones included, which mean something as standard deviations."""
+    """True for None and all real numbers: an infinite standard deviation has a meaning, and so may nan."""
     return value is None or (isinstance(value, Real) and not isinstance(value, bool))
 
 
@@ -144,7 +148,10 @@ def _is_flag(value: Any) -> bool:
 
 
 def find_unsupported(net: Any) -> Iterator[str]:
-    """Every element in service that the network model cannot hold."""
+    """Every element in service that the network model cannot hold, and sources that are not exactly one.
+
+    Loads of constant current are among them where nothing is measured.
+    """
     for name in sorted(net.keys()):
         table = net[name]
         if name.startswith(("res_", "_")) or name in SUPPORTED | NO_ELEMENTS or not hasattr(table, "columns"):
@@ -164,7 +171,7 @@ def find_unsupported(net: Any) -> Iterator[str]:
 
 
 def _find_islands(net: Any) -> dict[int, int]:
-    """Bus in service -> one bus of its island."""
+    """Bus in service -> the smallest bus of its island."""
     topology = importlib.import_module("pandapower.topology")
     islands = topology.connected_components(topology.create_nxgraph(net))
     working = set(net.bus.index[net.bus.in_service.astype(bool)])
@@ -172,7 +179,10 @@ def _find_islands(net: Any) -> dict[int, int]:
 
 
 def find_constant_currents(net: Any) -> Iterator[str]:
-    """Every load whose power the network model cannot compute; where it is measured, nothing needs to."""
+    """Every load with a share of constant current, whose power the network model cannot compute.
+
+    Where the load is measured, that power is not needed.
+    """
     for part in ("p", "q"):
         column = f"const_i_{part}_percent"
         if column in net.load.columns and len(bad := net.load.index[net.load.in_service & (net.load[column] != 0)]):

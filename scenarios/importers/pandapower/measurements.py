@@ -26,10 +26,11 @@ FEEDING = ("load", "sgen", "gen", "ext_grid", "motor", "storage", "ward")
 
 @dataclass(frozen=True)
 class Conversion:
-    """What pandapower made of its network, and how its elements are called here.
+    """The network as pandapower converted it, and the names of its elements here.
 
-    ``network`` has loads of constant power: what a load draws at which voltage does not matter where it is measured.
+    ``network`` has loads of constant power: the voltage dependence of a load does not matter where it is measured.
     ``sgen``: the static generators, which are out of service in ``net``.
+
     ``bus_of``: index of a supplied bus -> its bus id here; ``branch_of``: (element type, index) -> branch id;
     ``unloaded``: a metered branch with an open end, as (element type, index) -> the bus of its own at that end.
     ``loops``: the branches that are now shunts, since closed switches join their two ends.
@@ -51,10 +52,10 @@ def find_metered_branches(net: Any) -> set[tuple[str, int]]:
 
 
 def read_measurements(what: str, conversion: Conversion) -> tuple[tuple[Measurement, ...], list[Remark]]:
-    """The readings of a converted network, one for each meter, and what was made of the others.
+    """The readings of a converted network, one for each meter, and remarks on the other measurements.
 
     Raises:
-        InvalidInputError: listing every measurement that no meter can be.
+        InvalidInputError: listing every measurement that no meter here can read.
     """
     problems: list[str] = []
     left_out: dict[str, list[int]] = {}
@@ -83,7 +84,7 @@ def read_measurements(what: str, conversion: Conversion) -> tuple[tuple[Measurem
 
 
 def _find_reason_to_leave_out(conversion: Conversion, row: Any) -> str:
-    """Why a measurement says nothing about the grid; empty if it does."""
+    """The reason for which a measurement contains nothing about the grid; empty if it does contain something."""
     if any(number is None or math.isnan(number) for number in (row.value, row.std_dev)):
         return "without a value or a std_dev"
     element = (row.element_type, row.element if row.element_type == "bus" else int(row.element))
@@ -96,7 +97,7 @@ def _find_reason_to_leave_out(conversion: Conversion, row: Any) -> str:
 
 
 def _read(conversion: Conversion, row: Any) -> Measurement | str:
-    """The measurement in p.u. and rad, of the fused bus; or why it cannot be one."""
+    """The measurement in p.u. and rad, of the fused bus; a reason as text where no meter here can read it."""
     network, base = conversion.network, conversion.network.base_mva
     if row.element_type == "bus" and (kind := AT_BUS.get(row.measurement_type)):
         meter = Meter(kind, conversion.bus_of[int(row.element)])

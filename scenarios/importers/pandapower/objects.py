@@ -1,8 +1,8 @@
-"""Which objects a pandapower file may name: its reader imports their modules and builds them, so look before it does.
+"""Check of the objects that a pandapower file names, before its reader imports their modules and builds them.
 
-Tables are JSON texts inside the JSON, and so may be what stands in their cells. pandas reads these texts with a parser
-of its own, which takes what is no JSON. So only the parser here reads the texts of the file, and rejects what it does
-not understand; pandapower and pandas get texts that are written anew from what it has understood and checked.
+Tables are JSON texts inside the JSON, and so may be the cells of tables. pandas reads these texts with a parser of its
+own, which accepts more than JSON. So only the parser here reads the texts of the file, and rejects what it does not
+understand; pandapower and pandas get texts that are written again from the checked content.
 """
 
 from __future__ import annotations
@@ -37,22 +37,22 @@ HARMLESS = (
 )
 """(module, class) of data."""
 HARMLESS_PACKAGES = ("pandapower.control.", "pandapower.protection.")
-"""Whose objects stand in tables; their modules are pandapower's own."""
+"""Packages of objects that stand in tables; their modules are pandapower's own."""
 KEYS = {"_module", "_class", "_object", "orient", "dtype", "is_multiindex", "is_multicolumn"}
 TABLE_KEYS = KEYS | {"typ", "index_name", "index_names", "column_name", "column_names"}
-"""Of a table; others would reach pandas' reader, which can be made to open files."""
+"""Keys of a table; other keys would reach pandas' reader, which can be made to open files."""
 PLAIN_PACKAGES = ("numpy", "builtins")
-"""Of the objects made from numbers and texts; the text of any other object is JSON."""
+"""Packages of objects made from numbers and texts; the text of any other object is JSON."""
 DEEPEST = 5  # levels of JSON text inside JSON text
 
 
 def write_anew(what: str, tree: Any) -> str:
-    """The JSON text of ``tree``, a pandapower network, with the texts inside it written anew as well.
+    """The JSON text of ``tree``, a pandapower network, with the texts inside it written again as well.
 
     Nothing is imported or built. Texts that no parser reads, such as names, stay as they are.
 
     Raises:
-        InvalidInputError: on ``what``, every object that is none of those allowed and every text that is no JSON.
+        InvalidInputError: on ``what``, every object that is not allowed and every text that is no JSON.
     """
     problems: list[str] = []
     try:
@@ -65,7 +65,7 @@ def write_anew(what: str, tree: Any) -> str:
 
 
 def _check(value: Any, problems: list[str], level: int) -> Any:
-    """``value`` with its texts of JSON written anew; ``level``: how many of them it stands in."""
+    """``value`` with its texts of JSON written again; ``level``: number of texts that it stands in."""
     if isinstance(value, list):
         return [_check(item, problems, level) for item in value]
     if not isinstance(value, dict):
@@ -80,7 +80,7 @@ def _check(value: Any, problems: list[str], level: int) -> Any:
 
 
 def _check_text(text: str, problems: list[str], level: int, *, allow_nan: bool) -> str:
-    """``text`` written anew; ``allow_nan``: nan and inf, which pandapower writes and reads, and pandas does not."""
+    """``text`` written again; ``allow_nan``: nan and inf, which pandapower writes and reads, and pandas does not."""
     if level > DEEPEST:
         problems.append(f"JSON texts stand inside each other more than {DEEPEST} times")
         return ""
@@ -92,7 +92,7 @@ def _check_text(text: str, problems: list[str], level: int, *, allow_nan: bool) 
 
 
 def _find_problems_of(table: Mapping[str, Any]) -> Iterator[str]:
-    """What is wrong with a JSON object, if it stands for an object of Python."""
+    """Problems of a JSON object that stands for an object of Python."""
     if "_module" not in table and "_class" not in table:
         return
     kind = (table.get("_module"), table.get("_class"))

@@ -1,7 +1,7 @@
-"""pandapower networks: its own reader, and its own conversion to per unit, of which this is the translation.
+"""pandapower networks: read and converted to per unit by pandapower itself, and translated from that here.
 
-``pandapower.converter.to_ppc`` fuses buses at closed switches, models transformers (T model), puts charged line ends
-at open switches and takes unsupplied buses out; what is left are MATPOWER's matrices with conductances.
+``pandapower.converter.to_ppc`` fuses buses at closed switches, models transformers (T model), puts charged line ends at
+open switches and takes unsupplied buses out; the result are MATPOWER's matrices with conductances.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ COUNTED = ("line", "trafo", "impedance", "load", "gen", "shunt", "ward", "motor"
 def read_pandapower(path: Path, tree: Any) -> Imported:
     """Read a pandapower network and its measurement table.
 
-    ``tree``: of what ``pandapower.to_json`` saved in ``path``. pandapower gets it written anew.
+    ``tree``: JSON tree that ``pandapower.to_json`` saved in ``path``. pandapower gets it written again.
 
     Raises:
         InvalidInputError: the file names objects that are no data; pandapower is missing or cannot read it; every
-            element that the network model cannot hold; every measurement that no meter can be.
+            element that the network model cannot hold; every measurement that no meter here can read.
     """
     pandapower = load_extra("pandapower", "pandapower", str(path))
     text = write_anew(str(path), tree)
@@ -80,7 +80,7 @@ def read_pandapower(path: Path, tree: Any) -> Imported:
 
 
 def _read_net(pandapower: Any, path: Path, text: str) -> Any:
-    """The network in ``text``, free of what the network model cannot hold."""
+    """The network in ``text``, read by pandapower and checked with ``find_broken`` and ``find_unsupported``."""
     try:
         net = pandapower.from_json_string(text)
     except Exception as error:  # whatever a foreign reader raises

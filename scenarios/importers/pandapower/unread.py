@@ -1,7 +1,7 @@
 """Tables and columns of a pandapower network that pandapower's own conversion does not look at.
 
-Columns that pandapower knows, such as ratings, costs and limits, are its business: what its power flow does not use
-changes none. Others may be notes of a user, or a name that is misspelt.
+Columns that pandapower knows, such as ratings, costs and limits, are not reported: those that its power flow does not
+use change no power flow. Other columns may be notes of a user, or have a misspelt name.
 """
 
 from __future__ import annotations
@@ -44,6 +44,6 @@ def find_unread(net: Any) -> Iterator[Remark]:
 
 
 def _columns_in_schema(name: str) -> set[str]:
-    """Columns that pandapower knows beside those that its tables have from the beginning."""
+    """Columns that pandapower knows beyond those of its empty tables."""
     schema = getattr(importlib.import_module(f"pandapower.network_schema.{name}"), f"{name}_schema")
     return set(schema.columns)

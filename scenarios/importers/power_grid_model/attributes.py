@@ -10,15 +10,15 @@ from dsse_core.printable import listed, shortened
 from scenarios.importers.imported import Remark
 
 DESCRIPTION = "extra"
-"""Where power-grid-model-io puts what a component is called in its source; nothing electric."""
+"""Key of a component under which power-grid-model-io puts its name in the source; nothing electric."""
 TOP = ("version", "type", "is_batch", "attributes", "data")
 LONGEST_SHOWN = 80  # characters of a name
 
 
 def find_unknown_attributes(tree: Any, known: Mapping[str, Sequence[str]]) -> Iterator[str]:
-    """A problem for each attribute that none of its component is; ``known``: component -> its attributes.
+    """A problem for each attribute that its component does not have; ``known``: component -> its attributes.
 
-    Whatever else is wrong with ``tree`` power-grid-model's own reader finds.
+    power-grid-model's own reader finds the other errors of ``tree``.
     """
     for component, allowed in known.items():
         unknown: dict[str, list[object]] = {}
@@ -40,7 +40,7 @@ def find_unknown_attributes(tree: Any, known: Mapping[str, Sequence[str]]) -> It
 
 
 def find_descriptions(tree: Any) -> Iterator[Remark]:
-    """What is left out of the file, since it only describes, or stands outside the data."""
+    """Remarks on parts of the file that are left out: descriptions, and keys outside the data."""
     described = [name for name in _table(tree, "data") if any(DESCRIPTION in row for row in _rows(tree, name))]
     if described:
         yield Remark("left out", f"{DESCRIPTION!r} of {listed(described)}, which describes them")

@@ -1,4 +1,4 @@
-"""power-grid-model input data: read by its own reader, checked by its own validator."""
+"""power-grid-model input data: read by power-grid-model's own reader, checked by its own validator."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ SENSORS = ("sym_voltage_sensor", "sym_power_sensor", "sym_current_sensor")
 IGNORED = {"fault": "for short circuits only", "transformer_tap_regulator": "taps stay where they are"}
 SUPPORTED = {*BUILDERS, *APPLIANCES, *SENSORS, *IGNORED, "node", "link", "source", "shunt"}
 NAME_PLATE = ("uk", "uk_min", "uk_max", "i0")
-"""Of transformers: the validator says which values are plausible; power-grid-model computes with any above 0."""
+"""Values of transformers: the validator rejects implausible ones; power-grid-model computes with any above 0."""
 
 Data = dict[str, Any]
 
 
 def load_data(what: str, tree: Any) -> tuple[Data, list[Remark]]:
-    """The tables that are not empty, and what the validator finds implausible in them.
+    """The tables that are not empty, and remarks on implausible values and left-out parts.
 
-    ``tree``: of the JSON in file ``what``. power-grid-model, which has a parser of its own, gets it written anew.
+    ``tree``: JSON tree of file ``what``. power-grid-model, which has a parser of its own, gets it written again.
 
     Raises:
         InvalidInputError: power-grid-model is missing, cannot read the data or finds them wrong; or the network model
@@ -89,9 +89,9 @@ def working_sources(data: Data) -> list[Any]:
 
 
 def _is_computed_with(error: Any, data: Data) -> bool:
-    """Whether a finding of the validator keeps power-grid-model from nothing.
+    """True where power-grid-model computes in spite of a finding of the validator.
 
-    The type of an appliance says how it follows the voltage, which a state estimation does not ask.
+    The type of an appliance is its voltage dependence, which a state estimation does not use.
     """
     name = str(getattr(error.component, "value", error.component))
     if name in APPLIANCES and error.field == "type":
@@ -103,6 +103,6 @@ def _is_computed_with(error: Any, data: Data) -> bool:
 
 
 def _ids_of(error: Any) -> str:
-    """The elements that a validation error is about; of several tables (table, id) pairs."""
+    """The elements of a validation error; of several tables (table, id) pairs."""
     found = [f"{i[0]} {i[1]}" if isinstance(i, tuple) else str(i) for i in error.ids]
     return listed(found)

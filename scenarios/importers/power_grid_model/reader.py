@@ -1,4 +1,4 @@
-"""power-grid-model input data: its own reader and validator; its components become branches, loads and sources.
+"""power-grid-model input data as a network; its components become branches, loads and sources.
 
 Everything comes in SI units; the base here is 1 MVA, as inside power-grid-model. The electric models are those of its
 documentation, "Components": pi models whose series impedance stands at the to side, sources behind an impedance.
@@ -51,11 +51,11 @@ CONSTANT_POWER, CONSTANT_IMPEDANCE = 0, 1
 def read_power_grid_model(path: Path, tree: Any, frequency_hz: float) -> Imported:
     """Read power-grid-model input data, sensors included; ``frequency_hz`` turns capacitances into siemens.
 
-    ``tree``: that of the JSON in ``path``. power-grid-model, which has a parser of its own, gets it written anew.
+    ``tree``: JSON tree of ``path``. power-grid-model, which has a parser of its own, gets it written again.
 
     Raises:
         InvalidInputError: power-grid-model is missing, or finds the data invalid; every component that the network
-            model cannot hold; every sensor that no meter can be.
+            model cannot hold; every sensor that no meter here can be.
     """
     data, remarks_of_data = load_data(str(path), tree)
     measured = has_sensors(data)
@@ -89,7 +89,7 @@ def _convert_checked(path: Path, data: Data, frequency_hz: float, *, measured: b
 
 
 def _kind_of(data: Data, component: int) -> str:
-    """``line 7``: what a component is, beside its id."""
+    """Type and id of a component, as ``line 7``."""
     kinds = [name for name in (*BUILDERS, "source") if name in data]
     return next(f"{name} {component}" for name in kinds if component in data[name]["id"])
 
@@ -149,7 +149,7 @@ def _find_problems(data: Data, *, measured: bool) -> Iterator[str]:
 
 
 def _find_open_ends(data: Data, open_ends: Mapping[int, Bus]) -> Iterator[Remark]:
-    """``open_ends``: of the branches that stay, with the bus at the open end."""
+    """Remarks on branches with open ends. ``open_ends``: branch that stays -> the bus at its open end."""
     branches = list(_all_branches(data))
     half = [b for b in branches if bool(b["from_status"]) != bool(b["to_status"])]
     if folded := [b for b in half if int(b["id"]) not in open_ends]:
@@ -222,7 +222,7 @@ def _build_branches(
 
 
 def _find_shunts(data: Data, kv: dict[int, float], *, measured: bool) -> Iterator[tuple[int, complex]]:
-    """(node, admittance in p.u.) of shunts in service and, if not measured, of what else is a constant impedance."""
+    """(node, admittance in p.u.) of shunts in service and, if not measured, of appliances of constant impedance."""
     for shunt in rows(data, "shunt"):
         if shunt["status"]:
             node = int(shunt["node"])
@@ -277,7 +277,7 @@ def _build_source(
 
 
 def _find_zero_injections(conversion: Conversion) -> tuple[int, ...]:
-    """The buses where nothing is connected: for power-grid-model, too, they inject exactly nothing."""
+    """The buses without appliances and sources: they inject exactly nothing, for power-grid-model, too."""
     data, bus_of = conversion.data, conversion.bus_of
     used = {bus_of.get(int(a["node"])) for name in APPLIANCES for a in rows(data, name) if a["status"]}
     used |= {generator.bus for generator in conversion.network.generators}

@@ -30,9 +30,9 @@ PARTS = (("p", KIND.P_INJECTION, KIND.P_FLOW), ("q", KIND.Q_INJECTION, KIND.Q_FL
 
 @dataclass(frozen=True)
 class Conversion:
-    """The network made of ``data``, and how its components are called here.
+    """The network made of ``data``, and the names of its components here.
 
-    ``measured``: there are sensors, so that a load draws what they say, at whatever voltage; else it has its own law.
+    ``measured``: there are sensors, and a load draws the measured power at any voltage; else each load has its own law.
     ``bus_of``: node -> bus; ``branch_of``: branch component or source -> branch id, the ``to`` bus of a source's branch
     being its node; ``shunted``: buses with shunts, which loads of constant impedance are, too, unless ``measured``.
     """
@@ -47,7 +47,7 @@ class Conversion:
 
 @dataclass
 class _Reader:
-    """The sensors read so far. ``of_appliances``: (kind, bus) -> appliance -> what its sensors say."""
+    """The sensors read so far. ``of_appliances``: (kind, bus) -> appliance -> readings of its sensors."""
 
     conversion: Conversion
     readings: list[Measurement] = field(default_factory=list)
@@ -74,7 +74,7 @@ class _Reader:
 
     @cached_property
     def source_nodes(self) -> frozenset[int]:
-        """Where a source behind an impedance feeds."""
+        """Buses where sources behind an impedance feed."""
         network, branch_of = self.conversion.network, self.conversion.branch_of
         sources = [int(source["id"]) for source in self.conversion.data["source"]]
         return frozenset(network.branch(branch_of[source]).to_bus for source in sources if source in branch_of)
@@ -88,10 +88,10 @@ def find_metered_branches(data: Data) -> frozenset[int]:
 
 
 def read_sensors(what: str, conversion: Conversion) -> tuple[tuple[Measurement, ...], list[Remark]]:
-    """The readings of a converted network, one for each meter, and what was made of the other sensors.
+    """The readings of a converted network, one for each meter, and remarks on the other sensors.
 
     Raises:
-        InvalidInputError: listing every sensor that no meter can be.
+        InvalidInputError: listing every sensor that no meter here can be.
     """
     reader = _Reader(conversion)
     angles = [s for s in rows(conversion.data, "sym_voltage_sensor") if not math.isnan(s["u_angle_measured"])]
@@ -115,7 +115,10 @@ def read_sensors(what: str, conversion: Conversion) -> tuple[tuple[Measurement, 
 
 
 def _check_angles(reader: _Reader, sensors: list[Any]) -> None:
-    """One angle only turns the whole grid, which changes nothing; several need a meter that counts from no bus."""
+    """Leaves out a single angle, which only turns the whole grid; several angles are a problem.
+
+    Several angles need a meter that counts from no bus.
+    """
     ids = listed([int(sensor["id"]) for sensor in sensors])
     if len(sensors) == 1:
         text = f"the angle of voltage sensor {ids}: it only turns the whole grid; angles count from the substation here"
@@ -189,7 +192,10 @@ def _power_of(reader: _Reader, sensor: Any, part: str, sign: float) -> tuple[flo
 
 
 def _read_node(reader: _Reader, sensor: Any, node: int) -> None:
-    """The injection of a node includes its shunts and its source; a meter of injection here does not."""
+    """Reads the power of a node, a problem where it includes a shunt or a source behind an impedance.
+
+    An injection meter here does not include them.
+    """
     bus = reader.conversion.bus_of.get(node)
     if bus is None:
         reader.unsupplied.append(int(sensor["id"]))
@@ -221,7 +227,7 @@ def _read_appliance(reader: _Reader, sensor: Any, component: int, sign: float) -
 
 
 def _sum_injections(reader: _Reader) -> Iterator[Measurement]:
-    """The injections of the buses where every appliance is measured; the others are unknown whatever is measured."""
+    """The injections of the buses where every appliance is measured; those of other buses stay unknown."""
     at_bus: dict[int, set[int]] = {}
     for component, bus in reader.appliances.items():
         at_bus.setdefault(bus, set()).add(component)
@@ -261,7 +267,7 @@ def _read_current(reader: _Reader, sensor: Any) -> None:
 
 
 def _find_voltage(reader: _Reader, bus: int) -> tuple[float, float] | None:
-    """(value, sigma) that the voltage sensors of a bus say together, p.u."""
+    """(value, sigma) of all voltage sensors of a bus together, p.u.; None without a sensor."""
     found, _ = combine_readings(m for m in reader.readings if m.meter == Meter(KIND.VM, bus))
     return (found[0].value, found[0].sigma) if found else None
 
