@@ -1,9 +1,9 @@
 """``python -m benchmarks.broker_to_state``: from a value in an MQTT broker to states on the bus that rest on it.
 
-A feeder whose clocks number scans, as processes, with one gateway. Now and then all its meters publish at once, at any
-moment between two ticks. A value is in the states of the first tick after it has arrived on the bus. The stages: broker
-and gateway, until the last area's readings are on the bus; the wait for the tick; the exchange, until every area shows
-a good state of that tick. States and readings that are lost on the way to this listener are counted.
+A feeder whose clocks number scans runs as processes, with one gateway. Now and then all its meters publish at once, at
+any moment between two ticks. A value is in the states of the first tick after it has arrived on the bus. The stages are
+broker and gateway, until the last area's readings are on the bus; the wait for the tick; the exchange, until every area
+shows a good state of that tick. States and readings that are lost on the way to this listener are counted.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ SETTLE_TICKS = 3  # after the last value
 
 @dataclass
 class Arrivals:
-    """What has come over the bus, with the UTC of its arrival; filled by the threads of the bus."""
+    """Messages received over the bus, with the UTC of their arrival; filled by the threads of the bus."""
 
     telemetry: list[tuple[float, str, float]] = field(default_factory=list)  # at, area, newest time of measurement
     taken: dict[tuple[str, int], float] = field(default_factory=dict)  # area and scan -> when its readings were taken
@@ -71,7 +71,7 @@ class Arrivals:
 
     @property
     def lost_readings(self) -> tuple[int, int]:
-        """Of how many messages of used readings how many have not arrived."""
+        """(sent, lost): messages of used readings by their sequence numbers, and those that have not arrived."""
         sent = sum(max(numbers) - min(numbers) + 1 for numbers in self.readings.values())
         return sent, sent - sum(len(set(numbers)) for numbers in self.readings.values())
 
@@ -100,7 +100,7 @@ scan_s = {scan_s}
 
 
 def write_files(folder: Path, scan_s: float, endpoint: str, port: int) -> tuple[Scenario, dict[str, float]]:
-    """Scenario, area files and map in ``folder``; the scenario, and topic -> what its meter reads, p.u."""
+    """Scenario, area files and map in ``folder``; the scenario, and topic -> reading of its meter, p.u."""
     (folder / "scenario.toml").write_text(SCENARIO.format(scan_s=scan_s))
     scenario = load_scenario(folder / "scenario.toml")
     dict(write_area_files(scenario, scenario.name, [endpoint], folder / "areas"))
@@ -156,7 +156,7 @@ async def broker(port: int) -> AsyncIterator[aiomqtt.Client]:
 
 
 async def publish(client: aiomqtt.Client, values: Mapping[str, float]) -> float:
-    """Put all values into the broker; when the first was measured."""
+    """Publish all values to the broker; the time stamp of the values, s since 1970."""
     now = time.time()
     for topic, value in values.items():
         await client.publish(topic, json.dumps({"value": value, "time": now}))
@@ -164,7 +164,7 @@ async def publish(client: aiomqtt.Client, values: Mapping[str, float]) -> float:
 
 
 async def measure(folder: Path, values: int, scan_s: float, seed: int) -> tuple[list[float], Arrivals, Scenario]:
-    """Publish so many times; when that was, and what has arrived."""
+    """Publish ``values`` times; the times of publication, the messages that arrived, and the scenario."""
     port, mqtt_port = (random.Random(seed + os.getpid() + k).randint(10_000, 31_999) for k in range(2))
     endpoint, arrivals = f"tcp/127.0.0.1:{port}", Arrivals()
     scenario, meters = write_files(folder, scan_s, endpoint, mqtt_port)

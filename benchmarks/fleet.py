@@ -54,13 +54,13 @@ def _dsse() -> list[str]:
 
 
 def _processor_time() -> float:
-    """s that all children that have ended took, with those that they waited for."""
+    """Processor time of all children that have ended, and of the children that those waited for, s."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
 
 
 def _summarise(result: dict[str, Any], wall_s: float, processor_s: float, most: dict[str, float]) -> dict[str, str]:
-    """What is measured -> the figure, as text."""
+    """Name of a figure -> its text."""
     verdict, timing = result["verdict"], result["timing_s"]
     moments = ("scenario_loaded", "agents_started", "plant_started", "centralised_estimated", "last_change", "verdict")
     return {
@@ -76,7 +76,9 @@ def _summarise(result: dict[str, Any], wall_s: float, processor_s: float, most: 
 
 
 def _watch_memory(process: subprocess.Popen[str], out: Path) -> dict[str, float]:
-    """Until the process ends, the most that its command, the processes of the run and all together took, MiB."""
+    """Largest memory of the command, of the other processes of the run and of all together until the command ends,
+    MiB.
+    """
     most: dict[str, float] = {}
     while process.poll() is None:
         parent = _find_parent(out)

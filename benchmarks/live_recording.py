@@ -1,7 +1,7 @@
 """``python -m benchmarks.live_recording``: a feeder in real time with a scan a second, recorded for an hour and a half.
 
-Meters read at intervals of their own, ticks come from the clocks of the areas. What a listener beside the recorder
-receives must be in the recording, and no process may grow.
+Meters read at intervals of their own, ticks come from the clocks of the areas. Every message that a listener beside the
+recorder receives must be in the recording, and no process may grow.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ MOST_GROWTH_MIB = 1.0
 
 
 def record_live(folder: Path, duration_s: float) -> dict[str, object]:
-    """What happened in ``duration_s``, and what of it the recording lacks."""
+    """Figures of a run of ``duration_s``, and of the messages that its recording lacks."""
     measurements = {f"measurements.{kind}.period_s": period_s for kind, period_s in PERIODS_S.items()}
     changes = {"telemetry.ticks": "clock", "run.scan_s": SCAN_S} | measurements
     scenario = check_with_strategy(load_scenario(SCENARIO, changes=changes))
@@ -74,13 +74,13 @@ def record_live(folder: Path, duration_s: float) -> dict[str, object]:
 
 
 def find_growth(values: list[float]) -> float:
-    """From the mean of the third quarter of ``values`` to that of the last, doubled."""
+    """Growth from the mean of the third quarter of ``values`` to that of the last, doubled."""
     quarter = max(1, len(values) // 4)
     return round(2 * (sum(values[-quarter:]) - sum(values[-2 * quarter : -quarter] or values[:1])) / quarter, 2)
 
 
 def find_failures(seen: dict[str, Any]) -> list[str]:
-    """What must not be."""
+    """Requirements that the figures ``seen`` do not meet."""
     growth = seen["growth in the second half, MiB"]
     grown = [name for name, mebibytes in growth.items() if mebibytes > MOST_GROWTH_MIB]
     checks = {

@@ -36,7 +36,7 @@ MOST_GROWTH_MIB = 5.0
 
 
 def record_long(folder: Path, scans: int) -> dict[str, object]:
-    """What was recorded, what is missing of it, and what came of playing it back."""
+    """Figures of a recording of ``scans`` scans, of what it lacks, and of its replay."""
     scenario = load_scenario(SCENARIO)
     files = area_files(scenario, RUN, ["tcp/127.0.0.1:7447"])
     telemetry = [make_telemetry(scenario, draw + 1).by_area for draw in range(min(DRAWS, scans))]
@@ -74,7 +74,7 @@ def record_long(folder: Path, scans: int) -> dict[str, object]:
 
 
 def find_failures(seen: dict[str, object]) -> list[str]:
-    """What must not be."""
+    """Requirements that the figures ``seen`` do not meet."""
     growth = seen["growth of memory in the second half, MiB"]
     assert isinstance(growth, float)
     checks = {

@@ -25,7 +25,7 @@ from dsse_core.power_flow.plan import build_power_flow_plan
 PACKAGES = ("power-grid-model", "numpy", "scipy", "consensus-dsse")
 TOLERANCE, MAX_ITERATIONS = 1e-10, 30
 STIFF_SK_VA = 1e40  # of the source, which holds the voltage of its node exactly
-DIFFERENCE, FASTER, FEWEST_BUSES = 1e-10, 1.2, 1000  # what is to be reached, from so many buses on
+DIFFERENCE, FASTER, FEWEST_BUSES = 1e-10, 1.2, 1000  # targets; the speed counts from so many buses on
 FEWEST_BUSES_OF_RUNS = 10_000
 HEADER = (
     "| buses | method | ours, ms: first, cold, warm | power-grid-model, ms: first, cold, warm "
@@ -60,13 +60,13 @@ class Comparison:
         return first, cold, warm
 
     def as_row(self) -> str:
-        """As a row of the table under HEADER."""
+        """Row of the table under HEADER."""
         times = (", ".join(f"{value:.3g}" for value in asdict(part).values()) for part in (self.ours, self.theirs))
         ratios = ", ".join(f"{ratio:.3g}" for ratio in self.ratios)
         return f"| {self.n_bus} | {self.method} | {' | '.join(times)} | {ratios} | {self.difference:.1e} |"
 
     def find_missed(self) -> list[str]:
-        """What is not reached."""
+        """Targets that are not reached."""
         missed = []
         if not self.difference <= DIFFERENCE:
             missed.append(f"{self.n_bus} buses: voltages differ by {self.difference:.1e} p.u., more than {DIFFERENCE}")
@@ -131,7 +131,9 @@ def compare(n_bus: int, runs: int) -> Comparison:
 
 
 def _build_network(n_bus: int) -> Network:
-    """That of the estimates' cases, of which no bus but the substation holds its voltage, as in the peers' input."""
+    """The network of the estimates' cases, where no bus but the substation holds its voltage, as in the peers'
+    input.
+    """
     network = build_network(n_bus)
     given = (g if g.control is Control.SLACK else replace(g, control=Control.POWER) for g in network.generators)
     return replace(network, generators=tuple(given))

@@ -1,7 +1,7 @@
-"""``python -m benchmarks.recorder_kills``: a recorder is killed again and again, and what its recording lacks.
+"""``python -m benchmarks.recorder_kills``: gaps in a recording whose recorder is killed again and again.
 
-A feeder in three areas makes scans all the time, and a listener beside the recorder notes what passes. Everything that
-passed between the start of a recorder and the second before its end must be in the recording.
+A feeder in three areas makes scans all the time, and a listener beside the recorder notes the messages. Every message
+between the start of a recorder and the second before its end must be in the recording.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ MOST_LOST_S = 1.0
 
 @dataclass(frozen=True)
 class RecorderRun:
-    """When a recorder began to listen, and when it was killed, s since 1970."""
+    """Times at which a recorder began to listen and was killed, s since 1970."""
 
     began: float
     killed: float
 
 
 def kill_recorders(folder: Path, kills: int, seed: int) -> dict[str, object]:
-    """What was seen, and what of it the recording lacks."""
+    """Figures of ``kills`` killed recorders: messages that passed, and those that the recording lacks."""
     draws, passed = random.Random(seed), list[tuple[float, Published]]()
     scenario = check_with_strategy(load_scenario(SCENARIO))
     recording = folder / "recording"
@@ -86,8 +86,9 @@ def kill_recorders(folder: Path, kills: int, seed: int) -> dict[str, object]:
 def find_due(
     passed: list[tuple[float, Published]], run: RecorderRun, recorded: set[Published]
 ) -> list[tuple[float, Published]]:
-    """What passed from the first message on that the recorder of ``run`` wrote, of each area and kind: before, the
-    area did not know yet that it listens.
+    """Messages of an area and kind that passed during ``run``, from the first on that the recorder wrote.
+
+    Before that message the area did not know yet that the recorder listens.
     """
     begun: set[tuple[str, str]] = set()
     due = []
@@ -101,7 +102,9 @@ def find_due(
 
 
 def count_holes(due: list[tuple[float, Published]], recorded: set[Published]) -> int:
-    """How many that are missing passed before one of the same area and kind that is there: a kill cuts off the end."""
+    """Number of missing messages that passed before a present one of the same area and kind: a kill only cuts off the
+    end.
+    """
     missing, holes = Counter[tuple[str, str]](), 0
     for _, said in due:
         if said not in recorded:
@@ -129,7 +132,7 @@ def _events(recording: Path) -> list[tuple[str, str]]:
 
 
 def find_failures(seen: dict[str, object]) -> list[str]:
-    """What must not be."""
+    """Requirements that the figures ``seen`` do not meet."""
     lost_s = seen["longest that was lost before a kill, s"]
     assert isinstance(lost_s, float)
     checks = {

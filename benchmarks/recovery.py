@@ -1,7 +1,7 @@
-"""``python -m benchmarks.recovery``: how long until the death of an area is noticed, and until it is made good.
+"""``python -m benchmarks.recovery``: times until the death of an area is noticed, and until all areas are good again.
 
-The 33-bus feeder in twelve areas, as processes. Again and again one of them is killed, left dead for a while, and
-started again; a watcher on the bus takes the times, from the signal to the arrival of a state that says so.
+The 33-bus feeder runs in twelve areas, as processes. Again and again an area is killed, left dead for a while, and
+started again. A watcher on the bus takes the times, from the signal to the arrival of a state that shows the change.
 """
 
 from __future__ import annotations
@@ -40,13 +40,15 @@ Times = dict[str, list[float]]
 
 
 def build_scenario(areas: int, routers: int, heartbeat_s: float) -> Scenario:
-    """The feeder in so many areas, with one router or two linked ones."""
+    """The feeder in ``areas`` areas, with one router or two linked ones."""
     changes = {"areas": {"count": areas}, "transport.routers": routers, "run.beat_s": heartbeat_s}
     return check_with_strategy(load_scenario("ieee33", changes=changes))
 
 
 def kill_area(live: LiveSystem, victim: str) -> dict[str, float]:
-    """How long it takes all neighbours to notice the death of ``victim``, and all areas to be whole again, s."""
+    """Times from the death of ``victim`` until all its neighbours notice it, and from its restart until all areas are
+    good, s.
+    """
     neighbours = [n.area for n in live.scenario.partition.area(victim).neighbours]
     incarnation = live.states[victim].header.incarnation
     mark = f"neighbour {victim} is gone"
@@ -68,7 +70,7 @@ def kill_area(live: LiveSystem, victim: str) -> dict[str, float]:
 
 
 def kill_router(live: LiveSystem) -> dict[str, float]:
-    """How long after the restart of the only router all areas are received again and are whole again, s."""
+    """Time from the restart of the only router until all areas are received again and are at the fixed point, s."""
     live.system.kill(ROUTER)
     live.pass_time(DEAD_S)
     restarted = time.monotonic()
@@ -80,7 +82,9 @@ def kill_router(live: LiveSystem) -> dict[str, float]:
 
 
 def lose_one_router(live: LiveSystem) -> dict[str, float]:
-    """The longest silence of an area at a watcher without any fault, and when the first of two routers dies, s."""
+    """The longest silences of an area at a watcher: without any fault, and while the first of two routers is dead,
+    s.
+    """
     live.forget_silences()
     live.pass_time(DEAD_S)
     usual = live.longest_silence()
@@ -98,12 +102,12 @@ def lose_one_router(live: LiveSystem) -> dict[str, float]:
 
 
 def _is_whole(live: LiveSystem, states: States) -> bool:
-    """At the fixed point, and nobody misses anybody."""
+    """True where all areas are at the fixed point, and no area has a note."""
     return not any(states[name].notes for name in live.areas if name in states) and live.gap(states) <= GAP
 
 
 def _wait(live: LiveSystem, holds: Callable[[States], bool]) -> float:
-    """The time at which the states came to fulfil ``holds``."""
+    """The time at which the states fulfil ``holds``."""
     at = live.wait_until(holds, DEADLINE_S)
     if at is None:
         raise SystemExit(f"error: did not happen within {DEADLINE_S:g} s; {live.describe()}")
@@ -111,13 +115,13 @@ def _wait(live: LiveSystem, holds: Callable[[States], bool]) -> float:
 
 
 def repeat(times: Times, found: dict[str, float]) -> None:
-    """Add what was ``found`` once to the series of each."""
+    """Add each time of ``found`` to its series."""
     for what, seconds in found.items():
         times.setdefault(what, []).append(seconds)
 
 
 def summarise(times: Times) -> dict[str, dict[str, float]]:
-    """Median and worst of each, ms."""
+    """Median and largest time of each series, ms."""
     return {
         what: {
             "times": len(series),
@@ -157,7 +161,7 @@ def main(kills: int, seed: int, figures: str | None) -> None:
 
 
 def make_table(summary: Mapping[str, Mapping[str, float]]) -> str:
-    """As Markdown what ``summarise`` has found."""
+    """Markdown table of a ``summary`` that ``summarise`` has made."""
     rows = [f"| {what} | {' | '.join(f'{value:g}' for value in found.values())} |" for what, found in summary.items()]
     return "\n".join(["| what | times | median, ms | worst, ms |", "|---|---|---|---|", *rows])
 

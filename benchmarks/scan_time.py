@@ -34,7 +34,7 @@ class ScanTimes:
 
 
 def time_scans(world: World, scans: int) -> ScanTimes:
-    """Run so many scans, the readings of ``world`` in turn."""
+    """Run ``scans`` scans, with the readings of ``world`` in turn."""
     links = {(area.name, n.area): LinkFaults() for area in world.partition.areas for n in area.neighbours}
     bus = SimulatedBus(world.files(links, 0), world.telemetry[0])
     times = [_time_scan(bus)]

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.simulator``: many areas on the simulator: do an area's messages grow with their number?"""
+"""``python -m benchmarks.simulator``: growth of an area's messages with the number of areas, on the simulator."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ HEADER = (
 
 @dataclass(frozen=True)
 class SimulatorRun:
-    """One run: what ``result.json`` says, and what the process took."""
+    """One run: its ``result.json``, and processor time and memory of the process."""
 
     n_area: int
     n_bus: int
@@ -39,7 +39,7 @@ class SimulatorRun:
     memory_mib: float
 
     def as_row(self) -> str:
-        """As a row of the table under HEADER."""
+        """Row of the table under HEADER."""
         verdict, areas = self.result["verdict"], self.result["areas"].values()
         counts = " | ".join(
             _median_and_most([area[key] for area in areas]) for key in ("exchanges", "messages", "bytes")

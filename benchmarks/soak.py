@@ -1,8 +1,8 @@
-"""``python -m benchmarks.soak``: a feeder in twelve areas under faults for minutes, and whether it is whole after them.
+"""``python -m benchmarks.soak``: a feeder in twelve areas under faults for minutes, and its recovery after them.
 
-Every second a new scan. Now and then, drawn from the seed, an area, the plant or the router is killed and started
-again, or frozen for a while; neighbours are cut off from each other; on each link messages are lost (up to every
-second), doubled, held back and damaged. Then the faults stop.
+A new scan begins every second. Now and then, drawn from the seed, an area, the plant or the router is killed and
+started again, or frozen for a while; neighbours are cut off from each other; on each link messages are lost (up to
+every second), doubled, held back and damaged. Then the faults stop.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ OF_ALL_LINKS = {"jitter_ms": 20.0, "duplicate": 0.05, "corrupt": 0.02}
 CUT_EVERY_S = 10.0
 CUT_FOR_S = (0.5, 5.0)
 BETWEEN_S = (0.5, 2.5)  # from one fault to the next
-DOWN_S = (0.2, 4.0)  # how long one lasts
+DOWN_S = (0.2, 4.0)  # length of a fault
 MOST_DOWN = 3  # processes at a time
 SPARED = 2  # areas that are never killed or frozen, so that one incarnation shows what happens to memory
 WARM_S = 20.0  # until memory counts
@@ -50,7 +50,7 @@ TROUBLE = ("Traceback", "Exception", "Error", "panicked")
 
 @dataclass
 class Soak:
-    """What is under way: who is down until when, what has happened, and how memory went."""
+    """State of a soak: processes that are down and until when, faults so far, and memory over time."""
 
     live: LiveSystem
     draws: random.Random
@@ -125,7 +125,7 @@ def build_scenario(seed: int, duration_s: float) -> Scenario:
 
 
 def soak(folder: Path, seed: int, duration_s: float) -> dict[str, object]:
-    """Faults for ``duration_s``, then none; what was seen, as text and numbers."""
+    """Run with faults for ``duration_s``, then without; figures of the run, as text and numbers."""
     scenario = build_scenario(seed, duration_s)
     with LiveSystem(scenario, folder, SCAN_S) as live:
         live.wait_until(lambda states: len(states) == AREAS)
@@ -167,7 +167,7 @@ def soak(folder: Path, seed: int, duration_s: float) -> dict[str, object]:
 
 
 def find_trouble(folder: Path) -> Iterator[str]:
-    """Lines of the logs that tell of an exception that nobody handled."""
+    """Lines of the logs that look like an exception that was not handled."""
     for log in sorted((folder / "logs").glob("*.log")):
         for line in log.read_text(encoding="utf-8", errors="replace").splitlines():
             if any(word in line for word in TROUBLE):
@@ -175,7 +175,7 @@ def find_trouble(folder: Path) -> Iterator[str]:
 
 
 def find_failures(seen: Mapping[str, Any]) -> list[str]:
-    """What a soak must not end with."""
+    """Requirements that the figures ``seen`` do not meet."""
     growth = seen["growth of the longest incarnations in their second half, MiB"].values()
     checks = {
         f"the gap at the end exceeds {GAP:g}": seen["s from the last fault to it"] is not None,

@@ -51,18 +51,18 @@ def compare_scenarios() -> Iterator[Case]:
 
 
 def lose_messages(seeds: int = 20) -> Iterator[Case]:
-    """More and more messages lost."""
+    """Sweep of the share of messages lost."""
     return _sweep("ieee33", "faults.loss", {f"loss {loss}": loss for loss in LOSSES}, list_strategies(), seeds)
 
 
 def spoil_meters(seeds: int = 20) -> Iterator[Case]:
-    """One wrong meter."""
+    """Sweep of one wrong meter."""
     values = {meter: f'[{{meter="{meter}",sigmas={sigmas}}}]' for meter, sigmas in METERS.items()}
     return _sweep("ieee33", "telemetry.gross_error", {"none": "[]", **values}, list_strategies(), seeds)
 
 
 def change_penalty() -> Iterator[Case]:
-    """ADMM's penalty, on two networks."""
+    """Sweep of ADMM's penalty, on two networks."""
     for network in ("ieee33", "industrial13"):
         values = {f"{network}, penalty {penalty}": penalty for penalty in PENALTIES}
         yield from _sweep(network, "admm.penalty", values, ("admm",), 1)
@@ -83,7 +83,7 @@ def _run_all(case: str, name_or_path: str) -> Iterator[Case]:
 
 
 def _sweep(scenario: str, key: str, values: Mapping[str, str], strategies: Sequence[str], seeds: int) -> Iterator[Case]:
-    """For each value of ``key``, in TOML's words by the name of its case, and each strategy the rows of all seeds."""
+    """Rows of all seeds for each value of ``key`` and each strategy; ``values``: name of the case -> value in TOML."""
     plan = make_plan(scenario, *parse_vary(f"{key}={','.join(values.values())}"), strategies, seeds)
     rows = dict(run_tasks(plan, plan.tasks, os.cpu_count() or 1))
     for case, value in zip(values, plan.scenarios, strict=True):

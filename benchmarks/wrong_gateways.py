@@ -77,8 +77,10 @@ def find_named(bus: SimulatedBus) -> dict[str, str]:
 
 
 def run_wrong(name: str, what: str, seed: int) -> tuple[int | None, bool, bool]:
-    """In which scan the wrong gateway was named, None if in none; whether another was until then, or in other words;
-    whether an area was good before.
+    """(scan, is_false, is_good) of a run with a wrong gateway.
+
+    ``scan``: where the gateway was named, None if nowhere. ``is_false``: another gateway was named until then, or the
+    wrong one in other words. ``is_good``: an area was good before.
     """
     rng, scenario = np.random.default_rng([seed, len(what)]), load_scenario(name, changes={"seed": seed})
     loaded, others = draw_loads(scenario, rng), draw_loads(scenario, rng)
@@ -104,7 +106,7 @@ def run_wrong(name: str, what: str, seed: int) -> tuple[int | None, bool, bool]:
 
 
 def run_sound(name: str, scans: int, seed: int) -> Counter[str]:
-    """How often a sound gateway was named, and how often all areas were good, in so many scans."""
+    """Counts of scans, of scans in which a sound gateway was named, and of scans in which all areas were good."""
     rng, scenario = np.random.default_rng(seed), load_scenario(name, changes={"seed": seed})
     loaded, bus, counts = scenario, None, Counter[str]()
     for scan in range(1, scans + 1):
@@ -122,7 +124,9 @@ def run_sound(name: str, scans: int, seed: int) -> Counter[str]:
 
 
 def weigh_sound(name: str, scans: int, seed: int) -> Counter[str]:
-    """The same of each area by itself, without information of neighbours: evidence with that is never more."""
+    """Counts as of ``run_sound``, of each area by itself, without information of neighbours, which never adds
+    evidence.
+    """
     rng, scenario = np.random.default_rng(seed), load_scenario(name, changes={"seed": seed, "telemetry.noise": False})
     tests = {area.name: GatewayTest(area) for area in scenario.partition.areas}
     sums = dict.fromkeys(((area, factor) for area in tests for factor in MISTAKES), 0.0)

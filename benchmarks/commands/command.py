@@ -20,12 +20,12 @@ from benchmarks.measuring.figures import figures_option, write_section
 from benchmarks.measuring.machine import describe_machine
 
 PACKAGES = ("numpy", "scipy", "pydantic", "numba", "consensus-dsse")
-LEEWAY = 0.15  # of an exponent: what chance on a machine with other work makes of it
+LEEWAY = 0.15  # of an exponent: its scatter on a machine with other work
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """``arguments`` for a number of buses; ``share``: what part of the sizes it is measured at."""
+    """``arguments`` for a number of buses; ``share``: the command is measured at sizes divided by it."""
 
     arguments: Callable[[int], list[str]]
     share: int = 1
@@ -64,7 +64,7 @@ def main(sizes: str, only: str | None, runs: int, out: Path | None, figures: str
     for n_bus in sorted({n // command.share for n in asked for command in chosen.values()}):
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            # in a process of its own: of what this one has in memory, one that it starts counts its share, too
+            # in a process of its own: the memory of this process would count in the processes that it starts
             subprocess.run([sys.executable, "-m", "benchmarks.commands.inputs", str(folder), str(n_bus)], check=True)
             for key, command in chosen.items():
                 if n_bus * command.share in asked:
@@ -85,7 +85,7 @@ def main(sizes: str, only: str | None, runs: int, out: Path | None, figures: str
 
 
 def _measure_least(command: Command, n_bus: int, folder: Path, runs: int) -> Cost:
-    """The first run fills caches of files; the least time and memory of those after it, or of the only one."""
+    """Least time and least memory of ``runs`` runs; the first run fills the caches of files."""
     found = []
     for _ in range(runs):
         found.append(measure(command.arguments(n_bus), folder))
@@ -94,7 +94,7 @@ def _measure_least(command: Command, n_bus: int, folder: Path, runs: int) -> Cos
 
 
 def _format_rows(costs: Mapping[str, Mapping[int, Cost]]) -> list[str]:
-    """A markdown table: time and memory at each size, the exponents, and what grows faster than n log n."""
+    """A markdown table: time and memory at each size, the exponents, and a mark where growth is faster than n log n."""
     lines = [
         "| command | buses: s / MiB | k of time | k of memory | faster than n log n |",
         "|---|---|---|---|---|",

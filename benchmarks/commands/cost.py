@@ -1,4 +1,4 @@
-"""What a command takes: seconds of a processor and memory, its children included."""
+"""Cost of a command: seconds of a processor and memory, its children included."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How fast a figure grows with size, whatever it starts from."""
+"""Growth of a figure with size, apart from its constant part."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ LEAST_GROWTH = 0.05  # from the first of three points to the second, of the firs
 
 
 def find_exponent(sizes: Sequence[int], figures: Sequence[float]) -> float | None:
-    """The k of ``a + b n^k`` through the last three points, whose start-up ``a`` cancels; None where they tell none."""
+    """The k of ``a + b n^k`` through the last three points, whose start-up ``a`` cancels; None where they do not tell
+    it.
+    """
     if len(sizes) < 3 or len(sizes) != len(figures):
         return None
     (n1, n2, n3), (f1, f2, f3) = sizes[-3:], figures[-3:]

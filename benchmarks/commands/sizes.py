@@ -1,4 +1,4 @@
-"""How the feeders that commands are measured on are divided."""
+"""Division into areas of the feeders on which commands are measured."""
 
 BUSES_OF_AN_AREA = 500
 SEED = 7

@@ -1,1 +1,1 @@
-"""``python -m benchmarks.convergence``: on how many public cases power flow and estimate converge."""
+"""``python -m benchmarks.convergence``: convergence of power flow and estimate on public cases."""

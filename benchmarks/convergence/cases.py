@@ -34,7 +34,7 @@ WITH_ARGUMENTS: Mapping[str, tuple[dict[str, Any], ...]] = {
 """Networks of pandapower that are asked for with arguments; the others are asked for without."""
 NO_NETWORK = {"create_dickert_lv_feeders", "sorted_from_json"}
 LARGE_FILE = 200_000  # bytes
-SEED = 0  # of the lengths that Kerber's and Dickert's networks draw
+SEED = 0  # of the random lengths in Kerber's and Dickert's networks
 
 
 def list_cases() -> list[tuple[str, str]]:
@@ -89,7 +89,7 @@ def make_pandapower(name: str) -> list[Any]:
 
 @cache
 def _pandapower_makers() -> dict[str, Callable[[], Any]]:
-    """Name -> what makes it."""
+    """Name -> the function that makes its network or networks."""
     try:
         networks = importlib.import_module("pandapower.networks")
     except ImportError:

@@ -62,7 +62,7 @@ def main(only: str | None, most_buses: int, limit_s: float, all_s: float | None,
 
 
 def format_tables(rows: Sequence[Row], unread: Sequence[str], left_out: Sequence[str]) -> str:
-    """How many have converged, each case, and why each failure is one."""
+    """Counts of converged solutions, a row for each case, reasons of failures, and cases not read or not tried."""
     header = ["case", "buses", "branches", "power flow", *SETS]
     lines = ["| " + " | ".join(header) + " |", "|---|---:|---:|" + "---|" * (len(SETS) + 1)]
     reasons = list(_list_reasons(rows))
@@ -89,7 +89,7 @@ def format_counts(rows: Sequence[Row]) -> str:
 
 
 def _find_trial(found: CaseTrials, what: str, start: str) -> Trial | None:
-    """The trial if it has been made."""
+    """The trial if it has been made, else None."""
     name = what.removeprefix("estimate, ")
     trial = found.flows.get(start) if what == "power flow" else found.estimates.get((name, start))
     return None if trial is None or trial.is_left_out else trial

@@ -1,4 +1,6 @@
-"""Power flow and estimates of one network: from which start, with which meters, in how many steps, or why not."""
+"""Power flow and estimates of one network: for each start and set of meters the number of steps, or a reason of
+failure.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +87,7 @@ SETS: Mapping[str, Callable[[Network], Table]] = {
 
 @dataclass(frozen=True)
 class Trial:
-    """How one solution ended: ``iterations``, or the ``failure``, empty with a solution."""
+    """End of one solution: ``iterations``, or the reason of its ``failure``, empty with a solution."""
 
     iterations: int = 0
     failure: str = ""
@@ -147,7 +149,7 @@ def _describe(found: PowerFlowResult | EstimationResult | DsseError) -> Trial:
 def _try_sets(
     network: Network, truth: PowerFlowResult, before: Start | None, until: float
 ) -> Iterator[tuple[tuple[str, str], Trial]]:
-    """The trial of each set of meters and start, as long as the processor time is not ``until``."""
+    """The trial of each set of meters and start, until the processor time is ``until``; later sets are left out."""
     starts: dict[str, Start | None] = {"flat": None} | ({"warm": before} if before else {})
     for name, make in SETS.items():
         if process_time() > until:

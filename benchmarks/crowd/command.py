@@ -1,4 +1,4 @@
-"""The feeder, who looks on, and the strangers: what is measured before, while and after they are announced."""
+"""The feeder, its watchers and the strangers: figures before, while and after the strangers are announced."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SILENT_S = 2.0  # without a state for so long an area is not good for a watcher
 LEAST_GOOD = 0.95  # share of looks in each phase
 PHASE_S = 10.0  # before the strangers come, with all of them there, and without them
 ANNOUNCED_S = 600.0  # by then all must be announced
-MOST_MEMORY_MIB = 400.0  # of one that looks on
+MOST_MEMORY_MIB = 400.0  # of a watcher
 OPEN, KNOWING, WITH_KEYS = "open", "knowing", "keys"
 ROUTERS = {
     OPEN: "what anybody says, as a plain `dsse router` does",
@@ -56,7 +56,7 @@ ONLOOKERS = {
 
 @dataclass
 class Phases:
-    """What is seen in each phase of all ``processes`` (name -> id) and of the areas."""
+    """Figures of each phase: of all ``processes`` (name -> id) and of the areas."""
 
     live: LiveSystem
     processes: Mapping[str, int]
@@ -69,7 +69,7 @@ class Phases:
     cores: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def watch(self, phase: str, duration_s: float, is_over: Callable[[], bool] = lambda: False) -> None:
-        """Look on for ``duration_s``, or until it ``is_over``."""
+        """Watch for ``duration_s``, or until ``is_over``."""
         began, first = time.monotonic(), self._scan()
         self.live.forget_silences()
         spent = {name: _spent_s(pid) for name, pid in self.processes.items()}
@@ -94,7 +94,7 @@ class Phases:
         }
 
     def _is_good(self, area: str) -> bool:
-        """Whether it says so, and has been received not long ago."""
+        """True where the area marks its state as good, and the state is not older than ``SILENT_S``."""
         age_s = time.monotonic() - self.live.received_at[area]
         return self.live.states[area].quality == GOOD and age_s < SILENT_S
 
@@ -111,7 +111,9 @@ def _spent_s(pid: int) -> float:
 def onlookers(
     endpoint: str, folder: Path, chosen: Sequence[str], keys: Path | None
 ) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
-    """The commands named in ``chosen``, running in ``folder``, which gets their logs; ``keys``: that they show."""
+    """The commands named in ``chosen``, running in ``folder``, which gets their logs. ``keys``: folder of their
+    credentials.
+    """
     shown = ["--keys", str(keys)] if keys else []
     with ExitStack() as stack:
         started = {}
@@ -128,7 +130,7 @@ def onlookers(
 
 @contextmanager
 def crowd(endpoint: str, count: int, large: int, router: str) -> Iterator[Callable[[], bool]]:
-    """The strangers, until the end of the block; whether all are announced."""
+    """The strangers, in a process until the end of the block; a function that is true once after all are announced."""
     words = [sys.executable, "-m", "benchmarks.crowd.stranger", endpoint, "live", str(count), str(large), router]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
@@ -141,7 +143,7 @@ def crowd(endpoint: str, count: int, large: int, router: str) -> Iterator[Callab
 
 
 def measure(folder: Path, count: int, large: int, chosen: Sequence[str], router: str) -> dict[str, Any]:
-    """What ``count`` strangers, ``large`` of them with states of 90,000 buses, cost the areas and ``chosen``.
+    """Cost of ``count`` strangers, ``large`` of them with states of 90,000 buses, for the areas and ``chosen``.
 
     ``router``: of ``ROUTERS``.
     """
@@ -179,7 +181,7 @@ def measure(folder: Path, count: int, large: int, chosen: Sequence[str], router:
 
 
 def find_failures(seen: Mapping[str, Any]) -> list[str]:
-    """What must not be."""
+    """Requirements that the figures ``seen`` do not meet."""
     most = {name: seen["most memory, MiB"][name] for name in ONLOOKERS if name in seen["most memory, MiB"]}
     large = [name for name, mebibytes in most.items() if mebibytes > MOST_MEMORY_MIB]
     gap = max(seen["largest gap of good areas to the centralised estimate"].values())

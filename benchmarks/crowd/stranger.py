@@ -1,9 +1,10 @@
-"""``python -m benchmarks.crowd.stranger ENDPOINT RUN COUNT LARGE ROUTER``: announces areas that nobody has asked for.
+"""``python -m benchmarks.crowd.stranger ENDPOINT RUN COUNT LARGE ROUTER``: announces areas that belong to no run.
 
-It has no keys and keeps to no rule: tokens, states and readings of ``COUNT`` areas and gateways under ordinary names
-and under names of markup, wide and control characters, some with several incarnations, some of other roles and wire
-versions; of ``LARGE`` areas states of very many buses. Prints ``announced`` when all is published, and stays until
-its input ends. A router with keys gives it no link: it has it all ready, and tries again and again.
+The process has no keys and keeps to no rule. It publishes tokens, states and readings of ``COUNT`` areas and gateways
+under ordinary names and under names of markup, wide and control characters, some with several incarnations, some of
+other roles and wire versions; of ``LARGE`` areas it publishes states of very many buses. It prints ``announced`` when
+all is published, and stays until its input ends. A router with keys gives it no link: it has all ready, and tries to
+connect again and again.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ def name_of(k: int) -> str:
 
 
 def tokens_of(run: str, k: int) -> Iterator[str]:
-    """Those of stranger ``k``: every tenth has an older incarnation, too, every hundredth another version."""
+    """Tokens of stranger ``k``: every tenth has an older incarnation, too, every hundredth another version."""
     role = ROLES[k // len(NAMES) % len(ROLES)]
     yield live_key(run, role, name_of(k), NOW)
     if k % 10 == 0:
@@ -45,7 +46,7 @@ def tokens_of(run: str, k: int) -> Iterator[str]:
 
 
 def state_of(run: str, k: int, buses: int) -> StateMessage:
-    """A state as good as it gets, of buses that nobody else has."""
+    """A state marked good, of ``buses`` buses from number ``k * buses`` on."""
     name, ones = name_of(k), (1.0,) * buses
     body: dict[str, Any] = {
         **dict.fromkeys(("vm", "va", "sigma_vm", "sigma_va"), ones),
@@ -59,14 +60,14 @@ def state_of(run: str, k: int, buses: int) -> StateMessage:
 
 
 def readings_of(run: str, k: int) -> ReadingsMessage:
-    """Two meters, one of which has a name that areas of the feeder use."""
+    """Readings of two meters, one of which has a name that areas of the feeder use."""
     numbers: dict[str, Any] = dict.fromkeys(("values", "sigmas", "times", "estimates", "normalised"), (1.0, 1.0))
     header = Header(run, name_of(k), NOW, 1, 1, 0.0)
     return ReadingsMessage(header=header, meters=("vm1", f"{MARKUP}{k}"), taken_at=0.0, **numbers)
 
 
 def announce(endpoint: str, run: str, count: int, large: int, router: str) -> None:
-    """Say it all on the bus at ``endpoint``, and stay until standard input ends."""
+    """Publish all tokens, states and readings on the bus at ``endpoint``, and stay until standard input ends."""
     connect = in_the_background([endpoint]) if router == "keys" else at_once([endpoint], DEADLINE_S)
     config = bus_config("peer" if router == "keys" else "client", None, connect=connect)
     with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:

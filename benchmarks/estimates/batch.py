@@ -80,7 +80,9 @@ def _solve_ours(plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, th
 
 
 def _peer(case: Case, algorithm: str, values: np.ndarray, threads: int) -> Solve:
-    """``values``: first the voltages, then P and Q by turns, as ``Case.measurements`` has them."""
+    """Batch solver of the peer. ``values``: first the voltages, then P and Q by turns, as ``Case.measurements`` has
+    them.
+    """
     import power_grid_model as pgm
 
     method = PowerGridModelMethod(algorithm, algorithm)
@@ -112,7 +114,7 @@ def _peer(case: Case, algorithm: str, values: np.ndarray, threads: int) -> Solve
 
 
 def format_batches(rows: list[BatchRow]) -> str:
-    """One line per tool and number of threads; ratios are those of ours to it on the same threads."""
+    """One line per tool and number of threads; ratios are our rate divided by the tool's on the same threads."""
     head = ["buses", "set", "method", "threads", "scans", "failed", "scans / s", "scans / processor s", "ours / it"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for row in rows:

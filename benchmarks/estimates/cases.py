@@ -1,4 +1,4 @@
-"""What is estimated: the networks, the measurement sets, the noise, and J, one function for all tools."""
+"""Inputs of the estimates: networks, measurement sets, noise, and J, which one function computes for all tools."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LOAD_LEVELS = (0.3, 1.1)  # of the random draws
 
 @dataclass(frozen=True)
 class MeasurementSet:
-    """Who is metered how well: shares of the buses and branches beside the substation's, sigmas as shares of |S|."""
+    """Shares of the buses and branches with meters, beside the substation's, and sigmas as shares of |S|."""
 
     vm_share: float
     flow_share: float

@@ -1,4 +1,4 @@
-"""All cases against all methods, one row each; what fails is a row that says so."""
+"""All cases against all methods, one row each; a failure is a row with its reason."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MOST_BUSES_OF_DRAWS = 10_000
 
 @dataclass(frozen=True)
 class Limits:
-    """Of one case with one method: its process, and the part of the time that repeated runs may use."""
+    """Limits of one case with one method: those of its process, and the time that repeated runs may use."""
 
     runs: int
     seconds: float
@@ -35,8 +35,8 @@ class Limits:
 class Row:
     """One method on one case. ``ratios``: back end of ours -> (cold, warm), the method's time divided by ours.
 
-    ``excess``: J relative to the lowest J that any method found, minus 1. ``remark`` says why there are no figures,
-    or that it is another minimum.
+    ``excess``: J relative to the lowest J that any method found, minus 1. ``remark``: reason for missing figures, or a
+    note that the minimum is another one.
     """
 
     n_bus: int
@@ -50,7 +50,9 @@ class Row:
 
 @dataclass(frozen=True)
 class DrawRow:
-    """How many of ``tried`` random draws gave an estimate, and an estimate at the lowest J that any method found."""
+    """Counts of random draws: all ``tried``, those with an estimate, and those with one at the lowest J of any
+    method.
+    """
 
     n_bus: int
     set_name: str
@@ -91,7 +93,7 @@ def compare_draws(
     limits: Limits,
     report: Callable[[str], None],
 ) -> list[DrawRow]:
-    """Every method on the same random draws, sigma floor 200 VA; of networks as large as MOST_BUSES_OF_DRAWS."""
+    """Every method on the same random draws, sigma floor 200 VA; of networks of at most MOST_BUSES_OF_DRAWS buses."""
     rows = []
     for n_bus in [n for n in sizes if n <= MOST_BUSES_OF_DRAWS] if draws else []:
         network = build_network(n_bus)
@@ -109,7 +111,7 @@ def compare_draws(
 def compare_batches(
     sizes: Sequence[int], sets: Sequence[str], limits: Limits, report: Callable[[str], None]
 ) -> list[BatchRow]:
-    """Batches of scans on networks as large as MOST_BUSES_OF_DRAWS; what fails has no rows."""
+    """Batches of scans on networks of at most MOST_BUSES_OF_DRAWS buses; a batch that fails has no rows."""
     rows: list[BatchRow] = []
     for n_bus in [n for n in sizes if n <= MOST_BUSES_OF_DRAWS]:
         network = build_network(n_bus)
@@ -126,7 +128,7 @@ def compare_batches(
 
 
 def _try(method: Method, limits: Limits, function: Callable[..., Answer], *args: object) -> Answer | str:
-    """The answer, or why there is none."""
+    """The answer; without any, the reason as text."""
     if find_version(method.package) is None:
         return f"not installed: pip install {method.package}"
     try:

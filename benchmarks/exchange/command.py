@@ -31,7 +31,7 @@ PACKAGES = ("consensus-dsse", "numpy", "scipy", "numba")
 
 @dataclass(frozen=True)
 class Extent:
-    """How much is measured: counts of feeders, areas in a row, shares lost, and runs of each."""
+    """Extent of the measurements: counts of feeders, areas in a row, shares lost, and runs of each."""
 
     feeders: int = 25
     rows: tuple[int, ...] = (59, 100, 400)
@@ -77,7 +77,7 @@ def summarise(
     predicted_s: float = math.nan,
     good_share: float = math.nan,
 ) -> Row:
-    """One line of several scans; who never agrees or is never good makes the most infinite."""
+    """One line of several scans; an area that never agrees or is never good makes the largest time infinite."""
 
     def per_edge(name: str) -> float:
         return float(statistics.median(getattr(f, name) / f.edges for f in figures))
@@ -123,7 +123,7 @@ def measure(extent: Extent) -> Iterator[Row]:
 
 
 def _measure_feeders(extent: Extent, strategy: str) -> Iterator[Row]:
-    """With removals of bad data apart: they take an iteration each."""
+    """Rows of random feeders; scans with removals of bad data are apart, since each removal takes an iteration."""
     cold: list[ScanFigures] = []
     warm: list[ScanFigures] = []
     for seed in range(extent.feeders):
@@ -145,7 +145,7 @@ def _measure_scans(case: str, world: World, hop_s: float) -> Iterator[Row]:
 
 
 def predict(world: World, rounds: int, hop_s: float) -> float:
-    """Until the final message of the hub has reached the farthest area, s; readings come after ``HOP_S``."""
+    """Time until the final message of the hub has reached the farthest area, s; readings come after ``HOP_S``."""
     longest = len(world.partition.longest_path) - 1
     return HOP_S + rounds * 2 * math.ceil(longest / 2) * hop_s
 
@@ -157,7 +157,7 @@ def _measure_loss(grid: str, world: World, strategy: str, losses: Sequence[float
 
 
 def _measure_rest(extent: Extent) -> Iterator[Row]:
-    """The first scan, and how long areas are good while nothing happens but loss."""
+    """Rows of the first scan, with the share of time in which areas are good while messages are lost."""
     world = read_ieee33(REST_AREAS)
     for loss in extent.rest_losses:
         buses = [WatchedBus(world, EXACT, loss=loss, seed=seed) for seed in range(REST_RUNS)]

@@ -1,4 +1,4 @@
-"""The simulator under watch: what areas say to each other in a scan, and when they agree and are good."""
+"""The simulator under watch: messages between areas in a scan, and the times at which areas agree and are good."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ BETWEEN_S = 1.5  # at rest, before the next scan
 
 @dataclass(frozen=True)
 class ScanFigures:
-    """One scan. Messages are the delivered ones of all areas until rest; what is repeated counts until all are good.
+    """One scan. Messages are those delivered to all areas until rest; all but ``boundary`` count until all areas are
+    good.
 
-    ``boundary``: first sendings, ``repeats``: of the same. ``acknowledgements``: heartbeats that name a message for
-    the first time, ``heartbeats``: all others; ``loads``: load messages. ``agree_s``, ``good_s``:
-    since the begin of the scan, until all areas agree and until all are good for the first time; nan if never.
-    ``revisions``: begun anew within the scan. ``removed``: meters taken out by the centralised estimate. ``gap``: to
-    it in the end, p.u. and rad.
+    ``boundary``: first sendings, ``repeats``: of the same. ``acknowledgements``: heartbeats that name a message for the
+    first time, ``heartbeats``: all others; ``loads``: load messages. ``agree_s``: from the start of the scan until all
+    areas agree and stay so; ``good_s``: until all are good for the first time; nan if never. ``revisions``: the highest
+    revision of a message. ``removed``: meters taken out by the centralised estimate. ``gap``: to it in the end, p.u.
+    and rad.
     """
 
     edges: int
@@ -76,7 +77,7 @@ class WatchedBus(SimulatedBus):
         self._apart: set[tuple[str, str, int]] = set(self._pairs)
 
     def watch(self, limit_s: float) -> ScanFigures:
-        """Let the scan that has just begun come to rest, at most for ``limit_s``."""
+        """Run the scan that has just begun until rest, at most for ``limit_s``; its figures."""
         while self.now < self._began + limit_s and not self._is_at_rest():
             self.run(0.05)
         report = self._world.central[self.scan - 1]
@@ -96,13 +97,13 @@ class WatchedBus(SimulatedBus):
         )
 
     def go_on(self) -> None:
-        """Some time at rest, and the plant's next scan."""
+        """Pass some time at rest, then begin the plant's next scan."""
         self.run(BETWEEN_S)
         self._begin()
         self.next_scan(self._world.telemetry[self.scan])
 
     def share_good(self, duration_s: float) -> float:
-        """The share of the time of all areas in which they are good, from now on."""
+        """The share of the time of all areas in which they are good, from now on for ``duration_s``."""
         samples = round(duration_s / SAMPLE_S)
         good = 0
         for _ in range(samples):
@@ -114,7 +115,7 @@ class WatchedBus(SimulatedBus):
         is_done = not math.isnan(self._agree_at) and not math.isnan(self._good_at)
         return is_done and self.now >= self._update_at + REST_S
 
-    # What areas say
+    # Messages between areas
 
     def deliver(self, sender: str, receiver: str, payload: bytes) -> None:
         self._count(sender, receiver, decode(payload))
@@ -143,7 +144,7 @@ class WatchedBus(SimulatedBus):
             self._named.add(key)
             self._counts["acknowledgements" if is_first else "heartbeats"] += 1
 
-    # What areas show
+    # Published states
 
     def _see(self, at: float, state: StateMessage) -> None:
         if state.header.scan != self.scan:

@@ -1,4 +1,4 @@
-"""The grids on which ``python -m benchmarks.exchange`` counts and times, each with the readings of three scans."""
+"""The grids of ``python -m benchmarks.exchange``, each with the readings of three scans."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ EXACT = 1e-11  # step at which the centralised estimate stops, p.u. and rad
 
 
 def draw_feeder(seed: int, areas: int | None = None) -> World:
-    """A random feeder of 8 to 60 buses in 3 to 12 areas, or in so many."""
+    """A random feeder of 8 to 60 buses in 3 to 12 areas, or in ``areas`` areas."""
     rng = np.random.default_rng([14, seed])
     n_bus = int(rng.integers(8, 61))
     n_area = areas or int(rng.integers(3, min(13, n_bus // 2)))
@@ -37,7 +37,7 @@ def draw_feeder(seed: int, areas: int | None = None) -> World:
 
 
 def draw_row(n_area: int) -> World:
-    """Areas of two branches, one after the other, with readings of which noise makes none look bad."""
+    """Areas of two branches in a row, with readings of which none is removed as bad data."""
     worlds = (_draw_row(n_area, seed) for seed in range(100))
     return next(world for world in worlds if not any(report.removed for report in world.central))
 
@@ -50,7 +50,7 @@ def _draw_row(n_area: int, seed: int) -> World:
 
 
 def read_ieee33(areas: int = SHIPPED_AREAS) -> World:
-    """The shipped scenario, in so many areas."""
+    """The shipped scenario, in ``areas`` areas."""
     scenario = load_scenario("ieee33", changes={"areas": {"count": areas}} if areas != SHIPPED_AREAS else {})
     telemetry = [make_telemetry(scenario, scan) for scan in range(1, SCANS + 1)]
     central = [process_bad_data(scenario.network, list(t.union), tolerance=EXACT) for t in telemetry]

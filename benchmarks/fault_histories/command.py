@@ -78,7 +78,7 @@ def read_table(path: Path) -> dict[int, HistoryOutcome]:
 
 
 def summarise(outcomes: Sequence[HistoryOutcome]) -> dict[str, str]:
-    """What is measured -> the figure of all histories, as text."""
+    """Name of a figure -> its text, over all histories."""
     states, good, wrong = (sum(getattr(o, name) for o in outcomes) for name in ("states", "good", "wrong"))
     lost = [o.seed for o in outcomes if not o.gap <= GAP or math.isnan(o.settled_s)]
     settled = sorted(o.settled_s for o in outcomes if not math.isnan(o.settled_s))

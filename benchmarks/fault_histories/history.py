@@ -1,8 +1,8 @@
-"""One seeded history of faults on the simulator: a small random feeder, whatever can go wrong for a while, then peace.
+"""One seeded history of faults on the simulator: a small random feeder, faults of all kinds for a while, then none.
 
-Its areas publish states all the while. Counted is how many were marked good, and how many of those lie beyond three of
+Its areas publish states all the while. Counted are the states marked good, and those of them that lie beyond three of
 their own standard deviations of the estimate with fresh information: the centralised one of the same scan's readings.
-Measured is how far they are from it in the end.
+Measured is the distance of the states from it in the end.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MOST_SIGMAS = 3.0
 ROUNDING = 1e-9  # p.u. and rad: an angle that is known exactly has no sigma
 GAP = 1e-8  # p.u. and rad: the fixed point is reached
 HEARTBEAT_S = 0.2
-FAULTS_S = 2.4  # how long there are faults
+FAULTS_S = 2.4  # time with faults
 PATIENCE_S = 60.0  # afterwards
 SCANS = 3
 
@@ -44,9 +44,9 @@ SCANS = 3
 class HistoryOutcome:
     """``good``, ``wrong``: distinct states marked good, and those of them that lie too far off; ``states``: all.
 
-    ``gap``: to the centralised estimate in the end, p.u. and rad; ``settled_s``: from the end of the faults until it
-    is and stays below ``GAP`` with all areas good, nan if never. ``worst``: the largest distance of a good state, in
-    its standard deviations.
+    ``gap``: to the centralised estimate in the end, p.u. and rad; ``settled_s``: from the end of the faults until it is
+    at most ``GAP`` with all areas good for the first time, nan if never. ``worst``: the largest distance of a good
+    state, in its standard deviations.
     """
 
     seed: int
@@ -62,7 +62,9 @@ class HistoryOutcome:
 
 @dataclass(frozen=True)
 class World:
-    """A feeder cut into areas, with the readings of every scan (numbered from 1) and what they say altogether."""
+    """A feeder cut into areas, with the readings of every scan (numbered from 1) and the centralised estimate of
+    each.
+    """
 
     network: Network
     partition: Partition
@@ -76,7 +78,7 @@ class World:
         strategy: str = "information",
         heartbeat_s: float = HEARTBEAT_S,
     ) -> list[AreaFile]:
-        """What every area's agent reads; it knows every meter that has ever been read."""
+        """Area file of every area's agent, with every meter of the area that is read in any scan."""
         meters = {
             name: list(dict.fromkeys(m.meter for scan in self.telemetry for m in scan[name]))
             for name in self.telemetry[0]
@@ -98,10 +100,10 @@ class World:
 
 
 def run_history(seed: int) -> HistoryOutcome:
-    """Draw and live through one history."""
+    """Draw and run one history."""
     rng = np.random.default_rng(seed)
     world = draw_world(rng)
-    severity = float(rng.random())  # share of what can go wrong that does
+    severity = float(rng.random())  # share of the possible faults that happen
     shown: list[StateMessage] = []
     links = [(area.name, n.area) for area in world.partition.areas for n in area.neighbours]
     cuts = _draw_cuts(rng, severity, links)
@@ -128,7 +130,11 @@ def run_history(seed: int) -> HistoryOutcome:
 
 
 def draw_world(rng: np.random.Generator) -> World:
-    """3 to 6 areas of 3 to 8 buses; loads move from scan to scan; readings, but one voltmeter's, fail now and then."""
+    """3 to 6 areas of 3 to 8 buses; loads change from scan to scan; readings of voltages and flows are missing now and
+    then.
+
+    Injections and one voltmeter are always read.
+    """
     n_area = int(rng.choice([3, 4, 5, 6], p=[0.5, 0.25, 0.15, 0.1]))
     network, _ = generate_feeder(n_area * int(rng.integers(3, 9)), rng, lowest_vm=float(rng.uniform(0.92, 0.98)))
     partition = build_partition(network, cut_into(network, n_area))
@@ -150,7 +156,10 @@ def draw_world(rng: np.random.Generator) -> World:
 
 
 def find_gap(bus: SimulatedBus, world: World) -> float:
-    """Largest distance of what areas publish to the centralised estimate of the last scan; infinity if one is mute."""
+    """Largest distance of the published states to the centralised estimate of the last scan.
+
+    Infinite where an area has no state of that scan.
+    """
     gap = 0.0
     for name in bus.files:
         state = bus.states.get(name)
@@ -171,7 +180,7 @@ def _wait_for_peace(bus: SimulatedBus, world: World) -> float:
 
 
 def _evaluate(world: World, shown: list[StateMessage]) -> list[float]:
-    """How many of its sigmas each distinct good state is off at most; a state that was good once counts once."""
+    """Largest distance of each distinct good state in its sigmas; a state that was good once counts once."""
     good = {(state.header.sender, state.header.order): state for state in shown if state.quality == GOOD}
     return [_sigmas_off(world, state) for state in good.values()]
 
@@ -191,7 +200,9 @@ def _distance(world: World, state: StateMessage) -> tuple[np.ndarray, np.ndarray
 
 
 def draw_meters(rng: np.random.Generator, network: Network) -> list[Meter]:
-    """At the substation and 40 % of the buses |V|, on 60 % of the branches flows, everywhere injections."""
+    """Meters of |V| at the substation and 40 % of the buses, of flows on 60 % of the branches, of injections
+    everywhere.
+    """
     assert network.slack is not None
     meters = [Meter(KIND.VM, b.id) for b in network.buses if b.id == network.slack.bus or rng.random() < 0.4]
     for branch in network.active_branches:
@@ -214,7 +225,7 @@ def _with_other_loads(rng: np.random.Generator, network: Network) -> Network:
 
 
 def read_meters(rng: np.random.Generator, meters: Sequence[Meter], flow: PowerFlowResult) -> list[Measurement]:
-    """0.2 % of voltages, 1 % of flows, 10 % of injections."""
+    """Readings with sigmas of 0.2 % (voltages), 1 % (flows) and 10 % (injections)."""
     readings = []
     for meter, value in zip(meters, flow.read_all(meters).tolist(), strict=True):
         sigma = 0.002 if meter.kind is KIND.VM else (0.01 if meter.branch else 0.1) * (abs(value) + 0.001)

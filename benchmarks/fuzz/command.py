@@ -49,7 +49,7 @@ FINDING = "FINDING"
 
 
 class TooLongError(BaseException):
-    """No ``Exception``, so that nothing on its way takes it for a mistake in the input."""
+    """Time limit of an input; no ``Exception``, so that no reader on its way takes it for a mistake in the input."""
 
 
 def make_input(name: str, seed: int, number: int) -> bytes:
@@ -73,7 +73,7 @@ def _raise_too_long(*_: object) -> None:
 
 
 def _run_batch(name: str, seed: int, numbers: range, doing: Any, sender: Any) -> None:
-    """In a process of its own; ``doing`` holds the number of the input under way."""
+    """Read the inputs ``numbers`` in a process of its own; ``doing`` holds the number of the input under way."""
     import resource
 
     resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
@@ -96,7 +96,7 @@ def _run_batch(name: str, seed: int, numbers: range, doing: Any, sender: Any) ->
 
 
 class Batch:
-    """A process that works on ``numbers``; if it dies or hangs, on the rest another will."""
+    """A process that works on ``numbers``; if it dies or hangs, another process works on the rest."""
 
     def __init__(self, name: str, seed: int, numbers: range) -> None:
         context = multiprocessing.get_context("fork")
@@ -109,7 +109,7 @@ class Batch:
         sender.close()
 
     def stop_if_stuck(self) -> None:
-        """Beyond the alarm, which code outside Python does not notice."""
+        """Kill the process beyond twice the alarm, which code outside Python does not notice."""
         if self._doing.value != self._seen:
             self._seen, self._since = self._doing.value, time.monotonic()
         elif time.monotonic() - self._since > 2 * LONGEST_S:

@@ -1,4 +1,4 @@
-"""How a valid sample is spoilt: its bytes, its tokens, or one value at a random place of its structure."""
+"""Damages to a valid sample: to its bytes, its tokens, or one to three values at random places of its structure."""
 
 from __future__ import annotations
 

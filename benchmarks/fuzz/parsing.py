@@ -1,4 +1,4 @@
-"""Texts that two parsers may read differently, and what must not come of them: JSON within JSON, and keys of TOML."""
+"""Texts that two parsers may read differently, and checks of both readings: JSON within JSON, and keys of TOML."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dsse_core.files.bounded_parsing import DEEPEST_KEY, parse_json, parse_toml
 from scenarios.importers import import_grid
 from scenarios.importers.pandapower.objects import write_anew
 
-CANARY = "tabnanny"  # a harmless module that nobody here imports
+CANARY = "tabnanny"  # a harmless module that no package here imports
 LENIENT = (
     (r"(?<=[\[,:])(?=\d)", "0"),
     (r"(?<=[\[,:])(?=\d)", "+"),
@@ -37,7 +37,7 @@ LENIENT = (
     (r"\Z", " x"),
     (r"\Z", "\x00"),
 )
-"""Where something is put in, and what: none of it is JSON, or each parser has its own idea of it."""
+"""Place of an insertion, and its text: none of it is JSON, or parsers read it differently."""
 
 
 class TwoReadingsError(AssertionError):
@@ -67,7 +67,7 @@ def _repeat_a_key(rng: random.Random, text: str) -> str:
 
 
 def make_pandapower(samples: Callable[[], tuple[bytes, ...]]) -> Callable[[random.Random], bytes]:
-    """Networks that name a foreign module in a table, its text or that of the file spoilt, or neither."""
+    """Networks that name a foreign module in a table; the text of the table, that of the file, or neither is spoilt."""
 
     def make(rng: random.Random) -> bytes:
         net = json.loads(rng.choice(samples()))
@@ -89,7 +89,9 @@ def make_pandapower(samples: Callable[[], tuple[bytes, ...]]) -> Callable[[rando
 
 
 def read_pandapower(content: bytes, path: Path) -> str:
-    """Nothing foreign is imported, and pandas' parser reads what it is handed as Python's does."""
+    """The outcome of an import; an error where a foreign module is imported, or pandas' parser reads a text
+    otherwise.
+    """
     path.write_bytes(content)
     outcome = "accepted"
     try:
@@ -109,7 +111,7 @@ def read_pandapower(content: bytes, path: Path) -> str:
 
 
 def _find_texts(tree: Any) -> Iterator[str]:
-    """The texts that stand as the content of objects."""
+    """Texts of JSON that are the content of objects."""
     for key, value in tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ():
         if key == "_object" and isinstance(value, str) and value[:1] in "[{":
             yield value
@@ -177,7 +179,10 @@ def _make_line(rng: random.Random, number: int) -> str:
 
 
 def read_keys(content: bytes, _: Path) -> str:
-    """What is rejected for its depth is as deep, and what is read is not, as Python's reader alone has it."""
+    """The outcome of reading ``content``; an error where the depth of its keys contradicts it.
+
+    The depth is that which Python's reader finds.
+    """
     text = content.decode()
     try:
         parse_toml(text)

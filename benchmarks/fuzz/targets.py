@@ -1,4 +1,4 @@
-"""What is fuzzed: each target makes input from valid samples and reads it as its decoder's callers do."""
+"""Targets of the fuzzer: each makes input from valid samples and reads it as its decoder's callers do."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from scenarios.telemetry import make_telemetry
 
 @dataclass(frozen=True)
 class Target:
-    """``make``: an input; ``read``: what came of it, any exception but the promised one being a finding."""
+    """``make``: an input; ``read``: the outcome of reading it, any exception but the promised one being a finding."""
 
     make: Callable[[random.Random], bytes]
     read: Callable[[bytes, Path], str]
@@ -90,7 +90,7 @@ def _make_value(rng: random.Random, kind: Any, length: int) -> Any:
 
 
 def _make_text(rng: random.Random) -> str:
-    """Of two texts one as it should be, the other full of what steers whatever shows it; of 200 one is too long."""
+    """A plain meter id, or as often a text full of control sequences and markup; one text of 200 is too long."""
     if rng.random() < 0.5:
         return "vm@1"
     return "".join(rng.choices(STEERING, k=3)) * (1000 if rng.random() < 0.01 else 1)
@@ -126,7 +126,7 @@ def read_payload(content: bytes, _: Path) -> str:
 
 
 def _show(state: messages.StateMessage) -> None:
-    """As ``dsse watch`` does; it must be text and nothing else."""
+    """Show ``state`` as ``dsse watch`` does; the view must be printable text."""
     watcher = Watcher(state.header.run)
     watcher.take_state(state, 0.0)
     if not format_view(watcher.look(0.0)).replace("\n", "").isprintable():
@@ -168,7 +168,7 @@ def _spoil_file(rng: random.Random, samples: tuple[bytes, ...], language: str) -
 
 
 def _spoil_json(rng: random.Random, tree: Any) -> Any:
-    """Mostly within one of the tables that stand as text inside, where there are any."""
+    """``tree`` with spoilt values, mostly within one of the tables that stand as text inside, where there are any."""
     tables = [table for table in dict(tree.get("_object", {})).values() if isinstance(table, dict)]
     full = [table for table in tables if isinstance(table.get("_object"), str) and '"data":[[' in table["_object"]]
     if full and rng.random() < 0.8:
@@ -287,4 +287,4 @@ TARGETS: dict[str, Target] = {
     "foreign-pandapower.json": Target(parsing.make_pandapower(pandapower_samples), parsing.read_pandapower),
     "power_grid_model.json": _file_target(power_grid_model_samples, "json", import_grid),
 }
-"""Name, which for files is that of the input, -> target."""
+"""Name -> target; for files the name is that of the input."""

@@ -44,7 +44,7 @@ RUN = "latency"
 
 @dataclass(frozen=True)
 class Scan:
-    """What is published, and the voltages that the areas shall find: bus -> complex p.u."""
+    """Payloads that are published, by area, and the voltages that the areas shall find: bus -> complex p.u."""
 
     payloads: dict[str, bytes]
     voltages: dict[int, complex]
@@ -91,7 +91,7 @@ def _make_scan(scenario: Scenario, payloads: dict[str, bytes], draw: int) -> Sca
 
 @contextmanager
 def _start(scenario: Scenario, launcher: Launcher, folder: Path) -> Iterator[Session]:
-    """Router, echo and agents as processes, and a session of ours; all are there."""
+    """Router, echo and agents as processes, and a session of ours, once all areas are present."""
     launcher.preload("coordinator.process_run.router_process", "benchmarks.latency.timed_agent")
     endpoints_file = folder / "router.endpoints"
     arguments = ["--listen", "tcp/127.0.0.1:0", "--endpoints-file", str(endpoints_file)]
@@ -114,7 +114,7 @@ def _start(scenario: Scenario, launcher: Launcher, folder: Path) -> Iterator[Ses
 
 
 def _measure(scenario: Scenario, session: Session, scans: list[Scan]) -> tuple[list[float], list[float]]:
-    """Seconds of every scan but the first two, and of every round trip between them."""
+    """Latency of every scan but the first two, and times of the round trips between them, s."""
     publish = {area.name: session.publisher(telemetry_key(RUN, area.name)) for area in scenario.partition.areas}
     received: queue.SimpleQueue[tuple[float, bytes]] = queue.SimpleQueue()
     session.subscribe(all_states(RUN), lambda _key, payload: received.put((time.perf_counter(), payload)))
@@ -150,7 +150,7 @@ def _measure(scenario: Scenario, session: Session, scans: list[Scan]) -> tuple[l
 def _wait_for_consensus(
     scan: Scan, number: int, publish_scan: Callable[[], None], received: queue.SimpleQueue[tuple[float, bytes]]
 ) -> float:
-    """When the last area has shown a state of scan ``number`` that is close to the centralised one.
+    """Time at which the last area has shown a state of scan ``number`` that is close to the centralised one.
 
     Readings that the bus drops under load are published again at every heartbeat, as the plant does it.
     """

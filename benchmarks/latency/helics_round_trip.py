@@ -16,7 +16,7 @@ ASK, ANSWER = "ask", "answer"
 
 
 def time_helics_round_trips(size: int, count: int) -> list[float] | str:
-    """Seconds of ``count`` round trips of ``size`` bytes, or why there are none."""
+    """Seconds of ``count`` round trips of ``size`` bytes; without any, the reason as text."""
     if find_spec("helics") is None:
         return "not installed"
     command = [sys.executable, "-m", THIS, ASK, str(size), str(count)]

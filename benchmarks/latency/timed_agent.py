@@ -1,4 +1,4 @@
-"""What ``benchmarks.latency`` starts beside itself: agents that time themselves, and an echo."""
+"""Processes that ``benchmarks.latency`` starts beside itself: agents that time themselves, and an echo."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PING, PONG = "dsse/v3/latency/ping", "dsse/v3/latency/pong"
 
 
 def run_timed_agent(area_file: str, out: str) -> int:
-    """Run an agent; at its end write how often it decoded, handled and encoded, and how many seconds that took."""
+    """Run an agent; at its end write counts and seconds of its decoding, solving and encoding to ``out``."""
     seconds: defaultdict[str, float] = defaultdict(float)
     calls: Counter[str] = Counter()
 
@@ -55,7 +55,7 @@ def run_timed_agent(area_file: str, out: str) -> int:
 
 
 def run_echo(endpoint: str) -> int:
-    """Send back on PONG what comes on PING, until SIGTERM."""
+    """Send each payload of PING back on PONG, until SIGTERM."""
     updates: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
     with Session.connect([endpoint]) as session:
         signal.signal(signal.SIGTERM, lambda *_: updates.put(None))

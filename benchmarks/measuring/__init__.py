@@ -1,1 +1,1 @@
-"""What benchmarks measure with, and where their figures go."""
+"""Tools with which benchmarks measure, and the files of their figures."""

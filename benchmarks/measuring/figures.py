@@ -1,4 +1,6 @@
-"""Sections of docs/reference/figures.md: a command writes each, with date and machine; nobody edits them by hand."""
+"""Sections of docs/reference/figures.md: a command writes each, with date and machine, and no section is edited by
+hand.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A system of real processes that goes on until its block ends, watched over the bus like any other watcher would."""
+"""A system of real processes that runs until its block ends, watched over the bus as by any other watcher."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ States = Mapping[str, StateMessage]
 class LiveSystem:
     """The processes of ``scenario``; ``states`` are the newest that were received, ``strays`` ended unasked.
 
-    ``scan_every_s``: time between scans, None for one only. ``folder``: empty, for area files and logs.
-    ``any_name``: the router lets everybody say everything. ``keys``: folder of everybody's credentials, if secured.
+    ``scan_every_s``: time between scans, None for one only. ``folder``: empty, for area files and logs. ``any_name``:
+    the router passes on messages of all names. ``keys``: folder of the credentials of all processes, if secured.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class LiveSystem:
         self._launcher.close()
 
     def take(self, timeout_s: float = 0.0) -> str:
-        """Take in what has arrived, or wait for it; the strays, in words."""
+        """Process the messages that have arrived, or wait for one up to ``timeout_s``; the strays, as text."""
         if self._began is not None:
             self._clock.tick(time.monotonic() - self._began)
         for item in self._updates.take(timeout_s):
@@ -106,7 +106,7 @@ class LiveSystem:
         return "; ".join(self.strays)
 
     def wait_until(self, holds: Callable[[States], bool], deadline_s: float = START_S) -> float | None:
-        """The monotonic time at which the states came to fulfil ``holds``; None if they do not in time."""
+        """The monotonic time at which the states fulfil ``holds``; None if they do not in time."""
         deadline = time.monotonic() + deadline_s
         while not holds(self.states):
             if time.monotonic() > deadline:
@@ -115,7 +115,7 @@ class LiveSystem:
         return time.monotonic()
 
     def begin(self) -> None:
-        """Windows of faults of the links count from now."""
+        """Begin the time of link faults: their windows count from now."""
         self._began = time.monotonic()
 
     def pass_time(self, duration_s: float) -> None:
@@ -131,7 +131,7 @@ class LiveSystem:
         return self._silence
 
     def describe(self) -> str:
-        """What the areas note, and how far off they are, for people."""
+        """Notes of the areas and gap to the centralised estimate, as text."""
         notes = [
             f"{name} {state.quality}: {'; '.join(state.notes)}" for name, state in self.states.items() if state.notes
         ]

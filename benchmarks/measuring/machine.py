@@ -1,4 +1,4 @@
-"""Where and with what it was measured."""
+"""Machine and packages of a measurement."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from benchmarks.methods.ours import PACKAGE
 
 
 def find_version(package: str) -> str | None:
-    """Of an installed package; of ours what git calls this checkout. None if it is not installed."""
+    """Version of an installed package; of ours, git's description of this checkout. None if the package is not
+    installed.
+    """
     if package == PACKAGE:
         return _describe_checkout()
     try:

@@ -1,4 +1,4 @@
-"""Messages of areas as a recording has them, and as a listener beside the recorder receives them."""
+"""Messages of areas: those in a recording, and those that a listener beside the recorder receives."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def subscribe(session: Session, run: str, take: Callable[[Published], None]) -> 
 
 
 def read_recorded(recording: Path) -> set[Published]:
-    """What the closed tables in the folder ``recording`` have."""
+    """Entries of the closed tables in the folder ``recording``."""
     return {
         (table, area, scan)
         for table in TABLES

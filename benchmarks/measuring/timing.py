@@ -1,4 +1,4 @@
-"""What is done in one child process: a method timed in turn with ours, or tried on random draws."""
+"""Work of one child process: a method timed in turn with ours, or tried on random draws."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A method on a case: its median times, those of ours in the same runs, and what it found.
+    """A method on a case: its median times, those of ours in the same runs, and its result.
 
     ``difference`` is max |V - V of ours|, complex, p.u.
     """
@@ -53,8 +53,8 @@ class Draws:
 def measure(case: Case, method: Method, ours: Sequence[Method], runs: int, budget_s: float) -> Outcome:
     """Time ``method`` and every one of ``ours`` in turn, after one run of each that is not counted.
 
-    Ends after ``runs`` runs, or sooner, after FEWEST_RUNS, when ``budget_s`` is used up. Raises what the method
-    raises; one of ours that fails is left out.
+    Ends after ``runs`` runs, or sooner, after FEWEST_RUNS, when ``budget_s`` is used up. An error of ``method`` is
+    raised; a method of ours that fails is left out.
     """
     methods = {one.name: one for one in (*ours, method)}
     states: dict[str, State] = {}
@@ -120,7 +120,11 @@ def _time_cold_and_warm(method: Method, data: Any) -> tuple[float, float]:
 
 
 def _read_finite(method: Method, case: Case, result: Any) -> State:
-    """The state, whatever the tool says about its success."""
+    """The state in ``result``, whatever success the tool reports.
+
+    Raises:
+        NotConvergedError: a voltage is not finite.
+    """
     state = method.read(case, result)
     if not (np.isfinite(state.vm).all() and np.isfinite(state.va).all()):
         raise NotConvergedError("voltages that are not finite")

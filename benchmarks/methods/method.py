@@ -1,4 +1,4 @@
-"""What a tool has to offer to be timed. A tool is one class; ours and the peers' are listed in ``methods.py``."""
+"""Interface of a tool that is timed. A tool is one class; ours and the peers' are listed in ``compared.py``."""
 
 from __future__ import annotations
 
@@ -14,12 +14,14 @@ MAX_ITERATIONS = 50
 
 
 class NotConvergedError(Exception):
-    """The tool says itself, or shows, that it found no estimate."""
+    """No estimate was found: the tool reports it, or its voltages show it."""
 
 
 @dataclass(frozen=True)
 class State:
-    """An estimate in network order, ``vm`` p.u., ``va`` rad (0 at the substation); iterations where the tool tells."""
+    """An estimate in network order, ``vm`` p.u., ``va`` rad (0 at the substation); iterations where the tool reports
+    them.
+    """
 
     vm: np.ndarray
     va: np.ndarray
@@ -37,7 +39,9 @@ class Method(Protocol):
 
     @property
     def package(self) -> str:
-        """As pip calls it: whose version is reported, and what is missing where it is not installed."""
+        """Name of the package in pip: its version is reported, and the method is not run where the package is
+        missing.
+        """
         ...
 
     def translate(self, case: Case) -> Any: ...

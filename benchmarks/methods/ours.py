@@ -24,7 +24,7 @@ PACKAGE = "consensus-dsse"
 
 
 class Scan(NamedTuple):
-    """What a control centre has: its network and meters once, then one scan of readings after the other."""
+    """Input of a control centre: its network and meters, which stay, and one scan of readings."""
 
     network: Network
     meters: Sequence[Meter]
@@ -33,7 +33,7 @@ class Scan(NamedTuple):
 
 
 def _in_columns(network: Network) -> Network:
-    """What power-grid-model begins with, too: tables, no object for a bus."""
+    """``network`` as tables without an object for each bus, with which power-grid-model begins, too."""
     buses, branches = (
         {field.name: [getattr(item, field.name) for item in items] for field in fields(kind)}
         for kind, items in ((Bus, network.buses), (Branch, network.branches))

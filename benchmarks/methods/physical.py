@@ -1,4 +1,4 @@
-"""A network of lines in ohms, siemens and kV: what the peers' input formats are filled from."""
+"""A network of lines in ohms, siemens and kV, from which the peers' inputs are made."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def describe_lines(network: Network) -> LineNetwork:
     """The network without per unit.
 
     Raises:
-        InvalidInputError: it has what is not translated: no substation, transformers, shunts, losses of lines.
+        InvalidInputError: it has no substation, or transformers, shunts or losses of lines, which are not translated.
     """
     branches, slack = network.active_branches, network.slack
     problems = [

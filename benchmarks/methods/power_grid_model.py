@@ -1,4 +1,4 @@
-"""power-grid-model: Newton-Raphson, and iterative-linear, which minimises something else."""
+"""power-grid-model: Newton-Raphson, and iterative-linear, which minimises another objective."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _voltage_sensors(case: Case, lines: LineNetwork, first_id: int) -> np.ndarra
 
 
 def _power_sensors(case: Case, first_id: int) -> np.ndarray:
-    """Newton reads p_sigma and q_sigma, iterative-linear power_sigma."""
+    """Power sensors; Newton-Raphson reads p_sigma and q_sigma, iterative-linear power_sigma."""
     from power_grid_model import MeasuredTerminalType as Terminal
 
     va = case.network.base_mva * 1e6

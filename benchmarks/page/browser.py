@@ -19,7 +19,7 @@ def looking(*arguments: str) -> Iterator[Any]:
     """An empty page in a new browser that is started with ``arguments``.
 
     Raises:
-        click.ClickException: there is no browser, or nothing that drives it.
+        click.ClickException: there is no browser, or no package that drives it.
     """
     try:
         from playwright.sync_api import sync_playwright

@@ -16,7 +16,7 @@ from benchmarks.page.server import serving
 from benchmarks.page.tasks import CATEGORIES, Task, find_tasks
 
 PACKAGES = ("starlette", "uvicorn", "playwright", "consensus-dsse")
-MOST_MS = 50.0  # of one task, after which who clicks notices it
+MOST_MS = 50.0  # of one task: a longer one noticeably delays a click
 BUS = 7
 TURNS, TURN_MS = 4, 150  # of the mouse wheel over the drawing
 UNTIMED = ("--disable-frame-rate-limit", "--disable-gpu-vsync")  # pictures as fast as they are made
@@ -62,7 +62,7 @@ def tasks(scenario: str, seconds: float, longest: int, figures: str | None) -> N
 
 
 def list_tasks(found: Sequence[Task], longest: int) -> str:
-    """The first of them as a Markdown table."""
+    """The first ``longest`` tasks as a Markdown table."""
     lines = [
         f"| {task.at_ms / 1000:.1f} | {task.cpu_ms:.1f} | {task.wall_ms:.0f} | "
         f"{', '.join(f'{name} {ms:.1f}' for name, ms in task.inside)} |"

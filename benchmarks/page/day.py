@@ -26,8 +26,9 @@ new MutationObserver(() => { window.seen.shown += 1; })
 
 @dataclass(frozen=True)
 class Sample:
-    """After ``moments`` of the server, of which the page has received and shown some: memory, MB, and what the browser
-    keeps: ``nodes`` of documents and ``listeners``.
+    """State after ``moments`` of the server: moments received and shown by the page, and memory, MB.
+
+    ``nodes`` of documents and ``listeners`` are those that the browser keeps.
     """
 
     moments: int
@@ -44,7 +45,7 @@ def sample_day(page: Any, server: Server, moments: int, samples: int) -> Iterato
     """``samples`` of memory in even steps until the server has made ``moments``.
 
     Raises:
-        click.ClickException: the page receives nothing any more.
+        click.ClickException: the page no longer receives moments.
     """
     session, began = page.context.new_cdp_session(page), time.monotonic()
     for step in range(1, samples + 1):
@@ -65,7 +66,7 @@ def sample_day(page: Any, server: Server, moments: int, samples: int) -> Iterato
 
 
 def _wait_for(page: Any, number: int) -> None:
-    """Until the page has received moment ``number`` or a later one."""
+    """Wait until the page has received moment ``number`` or a later one."""
     before, since = -1, time.monotonic()
     while (at := page.evaluate("window.seen.number ?? 0")) < number:
         if at > before:

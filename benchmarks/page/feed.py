@@ -1,4 +1,4 @@
-"""Areas of a scenario that say something new whenever they are looked at, without being computed."""
+"""Areas of a scenario with a new state and new readings at each look, drawn instead of computed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NOT_GOOD = 7  # one area in so many is degraded
 
 @dataclass
 class _Content:
-    """What hardly changes of an area's messages."""
+    """Parts of an area's messages that stay from scan to scan, and the values around which the others scatter."""
 
     buses: tuple[int, ...]
     vm: np.ndarray
@@ -34,7 +34,9 @@ class _Content:
 
 @dataclass
 class Feed:
-    """Each look is a scan of all areas of ``scenario``: voltages and readings scatter around the power flow."""
+    """Feed of a watcher. Each look is a scan of all areas of ``scenario``: voltages and readings scatter around the
+    power flow.
+    """
 
     scenario: Scenario
     scan: int = 0

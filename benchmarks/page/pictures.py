@@ -24,7 +24,7 @@ def playing(scenario: str) -> Iterator[str]:
     """The address of a page that plays ``scenario``.
 
     Raises:
-        click.ClickException: there is none.
+        click.ClickException: the server names no address.
     """
     words = [sys.executable, "-m", "coordinator", "serve", scenario, "--simulate", "--listen", "127.0.0.1:0"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as server:
@@ -38,7 +38,7 @@ def playing(scenario: str) -> Iterator[str]:
 
 
 def take_pictures(folder: Path, scenario: str) -> list[Path]:
-    """Write them into ``folder``; their files."""
+    """Write the pictures into ``folder``; their paths."""
     taken: list[Path] = []
     with playing(scenario) as url, looking() as page:
 

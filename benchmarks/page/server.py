@@ -1,4 +1,4 @@
-"""A page in a process of its own, whose memory can be read and which computes beside the browser, not in its place."""
+"""A page in a process of its own, so that its memory can be read and it computes beside the browser."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ START_S = 300.0
 
 @dataclass(frozen=True)
 class Server:
-    """``url``: what to open; ``pid``: its process."""
+    """``url``: address of the page; ``pid``: id of its process."""
 
     url: str
     pid: int
@@ -38,7 +38,7 @@ def serving(scenario: str, *, is_hurried: bool = False) -> Iterator[Server]:
     """A page of ``scenario``; ``is_hurried``: as many moments as it can make.
 
     Raises:
-        TimeoutError: it does not begin.
+        TimeoutError: the page is not there in time.
     """
     receiver, sender = multiprocessing.get_context("spawn").Pipe(duplex=False)
     process = multiprocessing.get_context("spawn").Process(target=_serve, args=(sender, scenario, is_hurried))

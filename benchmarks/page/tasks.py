@@ -10,14 +10,16 @@ from operator import itemgetter
 from typing import Any
 
 CATEGORIES = ("toplevel", "devtools.timeline", "disabled-by-default-devtools.timeline", "v8")
-TASK = "RunTask"  # nobody who clicks or types is served before it ends
+TASK = "RunTask"  # clicks and keys are served only after it ends
 MAIN_THREAD = "CrRendererMain"
 
 
 @dataclass(frozen=True)
 class Task:
-    """``cpu_ms``: processor time of the thread, ms; ``wall_ms``: from its begin to its end; ``at_ms``: since the first
-    task; ``inside``: what took most of it, with its processor time.
+    """``cpu_ms``: processor time of the thread, ms; ``wall_ms``: from beginning to end; ``at_ms``: since the first
+    task.
+
+    ``inside``: the events that took most of it, with their processor time.
     """
 
     at_ms: float
@@ -50,7 +52,11 @@ def find_tasks(trace: bytes) -> list[Task]:
 
 
 def _look_inside(task: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> Iterable[tuple[str, float]]:
-    """``events`` in the order of their begin: a trace has hundreds of thousands, and nearly as many tasks."""
+    """The events that took most of ``task``, with their processor time, ms; ``events``: in the order of their
+    beginning.
+
+    A trace has hundreds of thousands of events, and nearly as many tasks, so events are found by their time.
+    """
     first, last = (
         bisect.bisect_left(events, at, key=itemgetter("ts")) for at in (task["ts"], task["ts"] + task["dur"])
     )
