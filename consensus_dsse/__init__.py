@@ -1,9 +1,9 @@
 """Decentralised state estimation of power grids from Python: ``import consensus_dsse as dsse``.
 
 ``run``, ``simulate``, ``compare`` and ``sweep`` do what the commands of ``dsse`` do; ``estimate`` and ``power_flow``
-give what a control centre would know and what is true, ``estimate_batch`` estimates many scans at once. Results have
-the tables ``buses``, ``branches``, ``meters`` and ``areas``: columns by name, ``to_pandas()``. Everything is imported
-when it is first used.
+give the state that a control centre finds and the true one, ``estimate_batch`` estimates many scans at once. Results
+have the tables ``buses``, ``branches``, ``meters`` and ``areas``: columns by name, ``to_pandas()``. Everything is
+imported when it is first used.
 """
 
 from __future__ import annotations

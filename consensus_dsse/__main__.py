@@ -1,4 +1,4 @@
-"""``dsse``: the command line, where the packages that it imports are ours."""
+"""``dsse``: the command line, after a check that the packages that it imports are ours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is true and what a control centre would know: power flow and centralised estimate of the whole grid."""
+"""The true state and that of a control centre: power flow and centralised estimate of the whole grid."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Are the packages of consensus-dsse ours? Others may have the same names, and Python takes the first that it finds."""
+"""Check of the packages of consensus-dsse: others may have the same names, and Python takes the first that it finds."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ class ForeignPackageError(ImportError):
 
 
 def check_own_packages() -> None:
-    """That Python imports our packages under their names.
+    """Checks that Python imports our packages under their names.
 
     Raises:
-        ForeignPackageError: it would import others, or others have overwritten ours; which, and what to do.
+        ForeignPackageError: Python would import others, or others have overwritten ours; names them and the cure.
     """
     problems = [problem for name in PACKAGES if (problem := _find_problem(name))]
     if problems:
@@ -58,7 +58,7 @@ def _place_of(spec: ModuleSpec) -> str:
 
 
 def _distribution_of(package: str) -> str | None:
-    """Another distribution that says that it has ``package``."""
+    """Another distribution that contains ``package``, None if there is none."""
     from importlib.metadata import packages_distributions
 
     names = packages_distributions().get(package, [])

@@ -49,7 +49,7 @@ injection = { buses = "all", sigma_percent = 30.0 }   # forecasts; buses without
 
 
 def write_files(folder: Path) -> Path:
-    """The network and the scenario; the path of the latter."""
+    """Write the network and the scenario; the path of the scenario."""
     buses = sorted({SUBSTATION, *(end for cable in CABLES for end in cable[:2])})
     network = {
         "name": "my-feeder",

@@ -19,7 +19,7 @@ STRATEGIES = ["information", "admm"]
 
 
 def run_all(seeds: int) -> dsse.Table:
-    """All runs: each loss, strategy and seed; virtual time, so that the machine does not matter."""
+    """Table of all runs: each loss, strategy and seed; in virtual time, which does not depend on the machine."""
     return dsse.sweep(SCENARIO, "faults.loss", LOSSES, strategies=STRATEGIES, seeds=seeds, jobs=2)
 
 

@@ -24,7 +24,7 @@ READINGS = {
 
 
 def main(duration_s: float = 0.0, port: int = 0) -> None:
-    """Send what the meters read, each with an error of some tenths of a percent."""
+    """Send the readings of the meters, each with an error of some tenths of a percent."""
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     end = time.time() + duration_s if duration_s else float("inf")
     while time.time() < end:

@@ -13,7 +13,7 @@ class UdpSettings(Table):
 
 
 class UdpSource(Source):
-    """An address is the first word of a packet."""
+    """Source of UDP packets of two words, an address and a value."""
 
     Settings = UdpSettings
 
@@ -36,7 +36,7 @@ class UdpSource(Source):
 
 
 def number_in(text: str) -> float | str:
-    """A text that is no number is counted as such."""
+    """The number in ``text``; else the text, which is counted as no number."""
     try:
         return float(text)
     except ValueError:

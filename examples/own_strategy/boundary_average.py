@@ -48,7 +48,9 @@ class BoundaryAverage(Strategy):
 
     @classmethod
     def local_meters(cls, area: Area, own: Sequence[Meter]) -> list[Meter]:
-        """All but those that see what is beyond the boundary: injections there, and angles from the substation."""
+        """Meters of ``own`` that see nothing beyond the boundary: no injections there, and no angles from the
+        substation.
+        """
         at_boundary = [m for m in own if m.kind.of_injection and m.bus in area.boundary_buses]
         angles = [m for m in own if m.kind is MeasurementKind.VA and not area.is_reference]
         return [m for m in own if m not in at_boundary and m not in angles]
