@@ -37,8 +37,10 @@ class RemovedMeasurement:
 
 @dataclass(frozen=True)
 class SuspectKept:
-    """A meter above the threshold that stays, and why: it is critical, without it the estimation diverges, or the steps
-    of the scan are used up.
+    """A meter above the threshold that stays in use, and the reason.
+
+    The reason is one of three: the meter is critical, without it the estimation diverges, or the steps of the scan are
+    used up.
     """
 
     meter: Meter
@@ -48,10 +50,10 @@ class SuspectKept:
 
 @dataclass(frozen=True, repr=False)
 class BadDataReport:
-    """The clean estimate and how it was reached.
+    """The clean estimate, with the meters removed on the way to it.
 
-    ``critical``: ids of the meters that cannot be spared, whatever they read. ``detected``: the chi-square limit
-    is still exceeded; then ``suspect`` has the largest normalised residual, if that exceeds the threshold.
+    ``critical``: ids of the meters that cannot be spared, whatever they read. ``detected``: J still exceeds the
+    chi-square limit. Then ``suspect`` has the largest normalised residual, if that exceeds the threshold.
     """
 
     result: EstimationResult
@@ -65,19 +67,20 @@ class BadDataReport:
 
     @property
     def undecided(self) -> tuple[tuple[str, ...], ...]:
-        """Groups of meters of which the first is removed, and the data cannot tell which of them is wrong."""
+        """Groups of meters of which the first is removed, where the data cannot tell which meter of a group is wrong."""
         groups = ((r.measurement.meter.id, *r.indistinguishable_from) for r in self.removed)
         return tuple(group for group in groups if len(group) > 1)
 
     @property
     def n_meters(self) -> int:
-        """How many are in use."""
+        """Number of meters in use, virtual ones included."""
         return len(self.result.plan.meters)
 
     @property
     def n_without_variance(self) -> int:
-        """How many meters have a residual of unknown variance, as all would take too long: bad data among them is
-        detected, not identified, and whether they are critical is not known.
+        """Number of meters whose residual has an unknown variance, as all variances would take too long.
+
+        Bad data among these meters is detected but not identified. The report does not know which of them are critical.
         """
         return int(np.isnan(self.result.residual_variance).sum())
 
@@ -90,7 +93,7 @@ class BadDataReport:
 
 
 def check_meters(result: EstimationResult) -> MeterChecks:
-    """Normalised residuals, suspects and critical ones of the estimate's meters."""
+    """Checks of the estimate's meters: normalised residuals, suspects and critical meters."""
     plan = result.plan
     of_meters = result.residual, result.residual_variance, result.sigmas, ~plan.virtual
     return MeterChecks(plan.meters, *of_meters, lambda: plan.indispensable)
@@ -136,11 +139,12 @@ def process_bad_data_with_plan(
 ) -> BadDataReport:
     """Estimate; while J exceeds the chi-square limit, remove the largest normalised residual and repeat.
 
-    The verdicts are those of ``decision.decide``, to which the whole grid is one area without neighbours. It stops when
-    the test passes or when no normalised residual exceeds ``threshold``. Equal residuals are broken by meter id; the
-    others of the tie are reported as indistinguishable. A critical measurement stays, and the next largest residual is
-    looked at. If without a measurement the estimation diverges, it stays, the estimate before stands, and ``detected``
-    with it. Dead voltmeters (``find_dead``) are left out from the start and stand first among the removed ones.
+    The verdicts are those of ``decision.decide``, to which the whole grid is one area without neighbours. Removal ends
+    when the test passes or when no normalised residual exceeds ``threshold``. Of equal residuals the first meter by id
+    is removed; the others are reported as indistinguishable. A critical measurement stays, and the next largest
+    residual is looked at. If the estimation diverges without a measurement, that measurement stays, the estimate before
+    stands, and ``detected`` with it. Dead voltmeters (``find_dead``) are left out from the start and stand first among
+    the removed ones.
 
     Raises:
         NotObservableError: without dead voltmeters, which it names.
@@ -168,7 +172,7 @@ def process_bad_data_with_plan(
 def _leave_out_dead(
     plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray
 ) -> tuple[EstimationPlan, np.ndarray, np.ndarray, list[Measurement]]:
-    """Plan and readings without dead voltmeters, and these.
+    """Plan and readings without dead voltmeters, and the readings of the dead ones.
 
     Raises:
         NotObservableError: the others do not determine the state.
@@ -197,13 +201,16 @@ def _estimate_without(
 
 
 def _totals_of(result: EstimationResult, threshold: float) -> Totals:
-    """What is to be evaluated: J, and the suspects above ``threshold``."""
+    """Totals of the estimate for ``decide``: J, and the suspects above ``threshold``."""
     worst, tied = (tuple(found.items()) for found in check_meters(result).suspects(threshold))
     return Totals(result.objective, result.degrees_of_freedom, worst=worst, tied=tied, areas=1, referenced=True)
 
 
 def _describe_dead(m: Measurement, result: EstimationResult) -> RemovedMeasurement:
-    """(z - vm) / sqrt(sigma^2 + sigma_vm^2), its normalised residual in the linear model, of the state without it."""
+    """The dead voltmeter ``m`` as a removed measurement, with its distance from the state estimated without it.
+
+    ``|z - vm| / sqrt(sigma^2 + sigma_vm^2)`` is its normalised residual in the linear model.
+    """
     row, (sigma_vm, _) = result.network.row[m.meter.bus], result.state_sigma()
     normalized = float(abs(m.value - result.vm[row]) / np.hypot(m.sigma, sigma_vm[row]))
     return RemovedMeasurement(m, normalized, ())
@@ -226,7 +233,7 @@ def _report(result: EstimationResult, removed: Sequence[RemovedMeasurement], thr
 
 
 def _find_suspect(result: EstimationResult, threshold: float, critical: Collection[str]) -> SuspectKept | None:
-    """The largest normalised residual where removal has ended, with what keeps its meter."""
+    """The meter with the largest normalised residual where removal has ended, and the reason why it stays."""
     normalized, kept = normalized_residuals(result), result.memory.kept
     worst = [meter.id for meter in result.plan.meters].index(kept) if kept else int(np.argmax(normalized))
     if normalized[worst] <= threshold:

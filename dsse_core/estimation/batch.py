@@ -19,13 +19,14 @@ from dsse_core.radial.plan import RadialPlan
 from dsse_core.row_threads import find_threads, share_out
 
 Start = tuple[np.ndarray, np.ndarray]
-# Of the cache that processors share: beyond it threads wait for memory, and for each other. 24 rows of 10,000 buses, of
-# 47 MB a thread, took 55 ms on one thread and 94 ms on two; 1,000 buses, 5 MB, take two thirds of the time on two.
+# Part of the cache that processors share. Beyond it threads wait for memory, and for each other: 24 rows of 10,000
+# buses, 47 MB a thread, took 55 ms on one thread and 94 ms on two; 1,000 buses, 5 MB, take two thirds of the time on
+# two.
 CACHE_BYTES = 32_000_000
 
 
 class FailureCode(StrEnum):
-    """Why a row has no estimate: readings that cannot be, too few, or an iteration without end."""
+    """Reasons why a row has no estimate: unusable readings, too few readings, or an iteration without end."""
 
     INVALID = "invalid"
     UNOBSERVABLE = "unobservable"
@@ -34,7 +35,7 @@ class FailureCode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RowFailure:
-    """``text``: what ``estimate_with_plan`` raises for the readings of the row."""
+    """Failure of one row. ``text``: that of the error which ``estimate_with_plan`` raises for the row's readings."""
 
     code: FailureCode
     text: str
@@ -48,7 +49,7 @@ _CODE_OF = {
 
 
 def describe_failure(error: InvalidInputError | NotObservableError | EstimationDivergedError) -> RowFailure:
-    """The failure of the row whose readings have raised ``error``."""
+    """Failure of the row whose readings have raised ``error``."""
     return RowFailure(_CODE_OF[type(error)], str(error))
 
 
@@ -56,8 +57,8 @@ def describe_failure(error: InvalidInputError | NotObservableError | EstimationD
 class BatchResult:
     """The estimate of each row of readings. ``vm`` p.u., ``va`` rad: shape (n_row, n_bus), network order.
 
-    ``objective`` J(x), ``iterations`` and ``degrees_of_freedom``: (n_row,). ``failures``: row -> why it has none; its
-    numbers are NaN, its iterations 0.
+    ``objective`` J(x), ``iterations`` and ``degrees_of_freedom``: (n_row,). ``failures``: row -> why it has no
+    estimate; the numbers of such a row are NaN, its iterations 0.
     """
 
     plan: EstimationPlan
@@ -92,8 +93,8 @@ def estimate_batch(
         sigmas: (n_row, n_meas), or (n_meas,) for all rows.
         start: (vm, va), each (n_row, n_bus), or (n_bus,) for all rows; by default the flat start.
         tolerance: see ``estimate_with_plan``.
-        threads: at most so many; all processors by default. Rows side by side have fewer where the memory that they
-            work in does not fit into CACHE_BYTES. The numbers do not depend on it.
+        threads: the most threads that are used; all processors by default. Rows side by side use fewer where the
+            memory that they work in does not fit into CACHE_BYTES. The numbers do not depend on it.
 
     >>> import consensus_dsse as dsse, numpy as np
     >>> scan = dsse.estimate("ieee33").report.result
@@ -102,7 +103,7 @@ def estimate_batch(
     ((2, 33), {})
 
     Raises:
-        InvalidInputError: shapes that do not fit, sigmas for all rows that cannot be. What is wrong with one row is in
+        InvalidInputError: shapes that do not fit, or unusable sigmas for all rows. Errors of single rows are in
             ``failures``.
     """
     rows = _Rows.of(plan, values, sigmas, start, tolerance)
@@ -120,7 +121,7 @@ def estimate_batch(
 
 @dataclass(frozen=True)
 class _Rows:
-    """What is given, and the arrays that are filled; ``starts`` (n_row, 1 or 0, 2, n_bus), ``limits`` of J (n_row,)."""
+    """Input and output arrays of a batch; ``starts`` (n_row, 1 or 0, 2, n_bus), ``limits`` of J (n_row,)."""
 
     plan: EstimationPlan
     values: np.ndarray
@@ -172,14 +173,14 @@ class _Rows:
         return cls(plan, values, sigmas, starts, tolerance, left, limits, *found, {}, {})
 
     def fit_threads(self, threads: int) -> int:
-        """As many of ``threads`` as have room for rows side by side in CACHE_BYTES; one at least."""
+        """Number of threads to use: for rows side by side at most as many as fit into CACHE_BYTES, one at least."""
         from dsse_core.radial.together import count_bytes
 
         n = len(self.plan.network.buses)
         return max(1, min(threads, CACHE_BYTES // count_bytes(n))) if self._go_together() else threads
 
     def _go_together(self) -> bool:
-        """Whether rows are done side by side."""
+        """True where rows are done side by side."""
         from dsse_core.radial.lanes import LANES
         from dsse_core.radial.together import MOST_BUSES
 
@@ -188,7 +189,7 @@ class _Rows:
         return alike and len(self.values) >= LANES and len(self.plan.network.buses) <= MOST_BUSES
 
     def compiled(self) -> Callable[[int, int], None]:
-        """What does rows in compiled code; those that fail there, alone."""
+        """Function that estimates rows in compiled code, and alone those that fail there; with memory of its own."""
         from dsse_core.radial import rows as radial_rows  # numba, loaded when the plan was built
 
         plan = self.plan.radial
@@ -211,13 +212,13 @@ class _Rows:
         return do
 
     def _lanes(self, plan: RadialPlan) -> np.ndarray:
-        """Memory of rows side by side; none where each is done by itself."""
+        """Memory of rows side by side; empty where each row is done by itself."""
         from dsse_core.radial.together import make_space
 
         return make_space(len(plan.order) if self._go_together() else 0)
 
     def alone(self) -> Callable[[int, int], None]:
-        """What does row after row as ``estimate_with_plan`` does one."""
+        """Function that estimates row after row by ``estimate_with_plan``."""
 
         def do(first: int, end: int) -> None:
             for k in range(first, end):
@@ -255,5 +256,5 @@ class _Rows:
 
 
 def _rows_of(array: np.ndarray, here: slice) -> np.ndarray:
-    """The rows of these scans, or what serves for all."""
+    """The rows ``here`` of ``array``, or its only row, which serves all scans."""
     return array if len(array) <= 1 else array[here]

@@ -1,7 +1,7 @@
-"""What all areas do next, from the totals of all areas: one pure function of what has been and what is.
+"""Verdict on the next move of all areas: a pure function of the totals of all areas and of the memory of the term.
 
 The areas together take the Gauss-Newton steps of the whole grid. Step control, the end of the iteration and bad data
-are decided here, without a clock, so that everybody who knows the totals comes to the same verdict. The centralised
+are decided here, without a clock, so that every area that has the totals comes to the same verdict. The centralised
 estimator is one area without neighbours.
 """
 
@@ -19,14 +19,17 @@ from dsse_core.gauss_newton import FULL_STEPS, LAST_STEP, MOST_STEPS, MOST_STEPS
 from dsse_core.linear.boundary_information import BEYOND_REASON
 from dsse_core.split_identity import HeldSplits, SplitUse, add_held, add_uses
 
-MOST_REMOVED = 1000  # meters of one scan; more are made up by somebody who would do so for ever
+MOST_REMOVED = 1000  # meters of one scan; an area that reports more is faulty, and would never stop
 MOST_NAMED = 20  # areas, splits or ranges of buses that totals name
 
 
 class Decision(StrEnum):
-    """``STEP``: the Gauss-Newton step, ``share`` of it. ``SHORTEN``: only ``share`` of the last one.
-    ``USE_CURRENTS``: current magnitudes, held back until flows are known, are used. ``EVALUATE``: normalised residuals
-    are wanted. ``ANEW``: from the start of the scan, without the meters removed. ``FINAL``: the end of the scan.
+    """Decision on the next move of all areas.
+
+    ``STEP``: the areas take ``share`` of the Gauss-Newton step. ``SHORTEN``: of the last step they take only ``share``.
+    ``USE_CURRENTS``: they use current magnitudes, which are held back until flows are known. ``EVALUATE``: they find
+    normalised residuals. ``ANEW``: they begin again at the start of the scan, without the meters removed. ``FINAL``:
+    the scan ends.
     """
 
     STEP = "step"
@@ -38,14 +41,14 @@ class Decision(StrEnum):
 
 
 UNOBSERVABLE, DIVERGED, NO_ESTIMATE = "unobservable", "diverged", "no estimate"  # reasons of an end without success
-OUT_OF_REACH = "out of reach"  # another: the readings have no state to which the steps of a start lead
-STEPS_USED_UP = "steps used up"  # another: of an estimate, in which bad data is looked for no longer
+OUT_OF_REACH = "out of reach"  # another: the steps of a start lead to no state that fits the readings
+STEPS_USED_UP = "steps used up"  # reason of an end with an estimate, after which no more bad data is looked for
 
 
 class IterationLostError(Exception):
     """The iteration has no end. ``weighted``: |r| / sigma of all meters where it has stopped, (n_meas,).
 
-    ``reason``: of the end, DIVERGED or OUT_OF_REACH.
+    ``reason``: DIVERGED or OUT_OF_REACH.
     """
 
     def __init__(self, iterations: int, step: float, weighted: np.ndarray, reason: str = DIVERGED) -> None:
@@ -55,15 +58,15 @@ class IterationLostError(Exception):
 
 @dataclass(frozen=True)
 class Totals:
-    """What some areas sum up of the state x_k; p.u. and rad.
+    """Totals of some areas at the state x_k; p.u. and rad.
 
-    ``objective``: J of their real meters in use, with ``degrees_of_freedom``. ``dvm``, ``dva``: the largest of the
-    last step. ``held_back``: current magnitudes not yet in use. ``worst``: (meter, normalised residual), the largest
-    above the threshold and those that equal it, by id; empty unless evaluating. ``areas``: how many they are.
-    ``referenced``: one of them knows the substation's angle. ``silent``, ``stale``: neighbours that are not received,
-    areas without readings of the scan. ``unobservable``: buses that no meter determines. ``failed``: areas that have
-    no numbers. ``splits``: on which the areas work, the oldest first; nothing is decided by them. ``held``: the next
-    splits whose files areas hold, each with how many do.
+    ``objective``: J of the areas' real meters in use, with ``degrees_of_freedom``. ``dvm``, ``dva``: the largest
+    changes of the last step. ``held_back``: number of current magnitudes not yet in use. ``worst``: (meter, normalised
+    residual), the largest above the threshold and those that equal it, by id; empty unless evaluating. ``areas``:
+    number of the areas. ``referenced``: one of the areas knows the substation's angle. ``silent``: neighbours that are
+    not received. ``stale``: areas without readings of the scan. ``unobservable``: buses that no meter determines.
+    ``failed``: areas that have no numbers. ``splits``: the splits on which the areas work, the oldest first; no verdict
+    depends on them. ``held``: the next splits whose files areas hold, each with the number of these areas.
     """
 
     objective: float = 0.0
@@ -80,7 +83,7 @@ class Totals:
     failed: tuple[str, ...] = ()
     splits: tuple[SplitUse, ...] = ()
     tied: tuple[tuple[str, float], ...] = ()
-    # Critical meters whose normalised residual equals the largest of ``worst``, by id: they stay, and may be wrong.
+    # Critical meters whose normalised residual equals the largest of ``worst``, by id. They stay, and may be wrong.
     held: HeldSplits = ()
 
     @property
@@ -90,7 +93,7 @@ class Totals:
 
 
 def add_totals(parts: Iterable[Totals]) -> Totals:
-    """The totals of several sides together."""
+    """Totals of several sides together."""
     parts = list(parts)
     worst = keep_tied(dict(named for t in parts for named in t.worst))
     tied = keep_equal(dict(named for t in parts for named in t.tied), worst)
@@ -114,14 +117,17 @@ def add_totals(parts: Iterable[Totals]) -> Totals:
 
 
 def limit_total(size: float) -> float:
-    """``size`` as totals state it. What is larger is no other verdict, and its receiver would take it for no number."""
+    """``size`` as totals state it, BEYOND_REASON at most.
+
+    A larger number changes no verdict, and its receiver would reject it.
+    """
     return min(size, BEYOND_REASON)
 
 
 def find_omission(totals: Totals, part: Totals) -> str:
-    """What ``totals`` leave out of those of a ``part`` of their areas, which are not all; empty if they contain them.
+    """Text that names what ``totals`` leave out of the totals ``part`` of some of their areas; empty if nothing.
 
-    What is added up only grows, however it is rounded; lists of names end at MOST_NAMED.
+    ``part`` never covers all areas. Sums only grow, however they are rounded; lists of names end at MOST_NAMED.
     """
     if totals.areas <= part.areas:
         return f"it counts {totals.areas} areas where {part.areas} on this side are not all"
@@ -139,7 +145,7 @@ def find_omission(totals: Totals, part: Totals) -> str:
 
 
 def _first_bus(buses: str) -> int:
-    """Of a range such as "12-19"."""
+    """First bus of a range such as "12-19"; 0 where the text begins with no number."""
     number = buses.partition("-")[0]
     return int(number) if number.isdecimal() else 0
 
@@ -150,14 +156,14 @@ def _add_names(parts: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Memory:
-    """What the decisions of a term rest on beside the totals; everybody in the term has the same.
+    """State of a term on which decisions rest beside the totals; all areas of the term have the same.
 
-    ``removed``: meters taken out as bad data, in order. ``tied``: for each of them those whose residual equalled its
-    own then, by id: the readings do not tell which of them is wrong. ``kept``: the meter without which no estimate was
-    found; it is in use again, and no other is taken out. ``steps``: since the last start; ``share``: what was taken of
-    the last one. ``before``: the size of the last full step since a decision, 0 without one. ``stepped``: the totals'
-    step was taken in full. ``from_flat_start``: the start of the scan has led to no end with these meters.
-    ``spent``: steps of all starts before.
+    ``removed``: meters taken out as bad data, in order. ``tied``: for each removed meter those whose residual equalled
+    its own then, by id; the readings do not tell which of them is wrong. ``kept``: the meter without which no estimate
+    was found. That meter is in use again, and no other is taken out. ``steps``: number of steps since the last start.
+    ``share``: the part that was taken of the last step. ``before``: the size of the last but one step where it can be
+    compared with the last, else 0. ``stepped``: the last step is not corrected. ``from_flat_start``: the start of the
+    scan has led to no end with these meters. ``spent``: number of steps of all starts before.
     """
 
     removed: tuple[str, ...] = ()
@@ -175,8 +181,11 @@ class Memory:
 
 @dataclass(frozen=True)
 class Verdict:
-    """``with_step``: the coming step is the last and is taken along. ``reason``: of an end without success.
-    ``next_split``: digest of the split that all areas hold the files of, on which the next scan rests; else empty.
+    """Decision with its details, the same for all areas.
+
+    ``share``: the part of the step that is taken. ``with_step``: the areas take the coming step, the last one, with
+    the decision. ``reason``: the reason of an end without success, or STEPS_USED_UP. ``next_split``: digest of the
+    split whose files all areas hold, and on which the next scan rests; empty without one.
     """
 
     decision: Decision
@@ -196,7 +205,7 @@ class Verdict:
 
 
 def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tuple[Memory, Verdict]:
-    """The verdict on ``totals``, and what the next one rests on; ``tolerance``: see ``gauss_newton.next_step``."""
+    """Memory for the next verdict, and the verdict on ``totals``; ``tolerance``: see ``gauss_newton.next_step``."""
     if totals.unobservable:
         return memory, Verdict(Decision.FINAL, reason=UNOBSERVABLE)
     if totals.failed:
@@ -232,54 +241,56 @@ def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tupl
 
 
 def name_next(verdict: Verdict, totals: Totals) -> Verdict:
-    """``verdict``, where it is the end, with the one next split whose files all areas of ``totals`` hold."""
+    """``verdict``, with the digest of the one next split whose files all areas of ``totals`` hold, if it is the end."""
     if verdict.decision is not Decision.FINAL or len(totals.held) != 1 or totals.held[0][1] != totals.areas:
         return verdict
     return replace(verdict, next_split=totals.held[0][0].digest)
 
 
 def is_lost(totals: Totals) -> bool:
-    """Whether the last step has led to no state, so that nothing that is known there is asked for."""
+    """True where the last step has led to no state, so that no information is asked for there."""
     return not totals.step <= gauss_newton.LARGEST_STEP or gauss_newton.is_out_of_reach(totals.dvm)
 
 
 def begin_at_flat_start(memory: Memory) -> Memory:
-    """With the same meters once more, as the start of the scan has led to no end."""
+    """Memory of a second start, at the flat start with the same meters, as the start of the scan has led to no end."""
     spent = memory.spent + memory.steps
     return Memory(memory.removed, memory.tied, memory.kept, from_flat_start=True, spent=spent)
 
 
 def _give_up(memory: Memory, reason: str) -> tuple[Memory, Verdict]:
-    """Without an estimate: once more with the meter that was taken out last; where none was, the end."""
+    """Verdict where there is no estimate: again with the meter that was taken out last, or the end where none was."""
     if memory.removed and not memory.kept:
         return put_back(memory), Verdict(Decision.ANEW)
     return memory, Verdict(Decision.FINAL, reason=reason)
 
 
 def put_back(memory: Memory) -> Memory:
-    """What follows where no estimate is found without the meter that was taken out last: the one before stands."""
+    """Memory with the last removed meter in use again, as no estimate is found without it; the one before stands."""
     spent = memory.spent + memory.steps
     return Memory(memory.removed[:-1], memory.tied[:-1], memory.removed[-1], spent=spent)
 
 
 def most_steps(memory: Memory) -> int:
-    """How many steps since the start are taken at most."""
+    """Largest number of steps since the start."""
     return MOST_STEPS_ANEW if memory.from_flat_start else MOST_STEPS
 
 
 def are_steps_used_up(memory: Memory) -> bool:
-    """True where no further start is begun without a meter: the scan has taken all steps that two starts may take, with
-    the bad meter and without it, and for each meter taken out those of a start that goes well. So meters that have been
-    found earn what is needed to look for the next one, however many they are.
+    """True where the scan has no steps left for a further start without a meter.
+
+    A scan may take all steps of two starts, with the bad meter and without it, and FULL_STEPS more for each meter taken
+    out. So each meter found pays for the search for the next one, however many there are.
     """
     most = 2 * (MOST_STEPS + MOST_STEPS_ANEW) + FULL_STEPS * len(memory.removed)
     return memory.spent + memory.steps > most
 
 
 def _remove_worst(memory: Memory, totals: Totals) -> tuple[Memory, Verdict]:
-    """After evaluating: the largest normalised residual goes, of equal ones the first by id, or nothing stands out.
+    """Verdict after evaluating: removes the meter with the largest normalised residual, of equal ones the first by id.
 
-    Nothing has to go where the step that was taken along has brought J below the limit.
+    The scan ends without a removal where no residual stands out, or where the step taken with the decision has brought
+    J below the limit.
     """
     if not totals.worst or not _exceeds_limit(totals) or len(memory.removed) >= MOST_REMOVED:
         return replace(memory, evaluating=False), Verdict(Decision.FINAL)

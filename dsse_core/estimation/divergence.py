@@ -1,7 +1,7 @@
-"""Why an iteration without end has none: what is found by estimating once more without what may be the cause.
+"""Cause of an iteration without end, found by estimating once more without the meters that may be the cause.
 
-Where the iteration has stopped the state is no estimate, so that residuals there accuse any meter. A meter is named
-only if the others have an estimate, agree on it, and its reading lies far from it.
+The state where the iteration has stopped is no estimate, so that residuals there accuse any meter. A meter is named
+only if the other meters have an estimate, agree on it, and the meter's reading lies far from it.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.meter_table import KINDS, number_kinds
 
-MOST_SUSPECTS = 3  # without each of which it is estimated once more
+MOST_SUSPECTS = 3  # meters; without each of them the state is estimated once more
 
 
 class Estimate(Protocol):
-    """``iterate_with_plan``."""
+    """Signature of ``iterate_with_plan``."""
 
     def __call__(
         self, plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, *, memory: Memory
@@ -35,7 +35,7 @@ class Estimate(Protocol):
 def explain_divergence(
     plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, lost: IterationLostError, estimate: Estimate
 ) -> EstimationDivergedError:
-    """The error for the readings ``values`` with ``sigmas``, (n_meas,), of which ``estimate`` has ``lost`` its way."""
+    """Error that names the cause why ``estimate`` has ``lost`` the iteration for ``values``, ``sigmas``, (n_meas,)."""
     sigmas = np.where(plan.virtual, 0.0, sigmas)
     for row in _find_suspects(plan, lost.weighted):
         rest = _estimate_without(plan, values, sigmas, [row], estimate)
@@ -82,7 +82,7 @@ def _find_distance(rest: EstimationResult, plan: EstimationPlan, row: int, value
 
 
 def _find_cause(plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, estimate: Estimate) -> str:
-    """What keeps the iteration from its end where no single reading does."""
+    """Text of the cause that keeps the iteration from its end, where no single reading is the cause."""
     currents = np.flatnonzero(number_kinds(plan.meters) == KINDS.index(MeasurementKind.CURRENT)).tolist()
     if currents and _estimate_without(plan, values, sigmas, currents, estimate) is not None:
         return (
@@ -100,7 +100,10 @@ def _find_cause(plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, es
 
 
 def _find_weakest(plan: EstimationPlan, sigmas: np.ndarray) -> str:
-    """That noise alone moves a voltage farther than a step may be long, at the flat start; empty if it moves none."""
+    """Text that names the bus whose voltage noise alone moves farther than a step may be long, at the flat start.
+
+    Empty where noise moves no voltage so far, or where the deviations cannot be computed.
+    """
     vm, va = flat_start(plan.network, plan.reference)
     nothing: Solution = vm, va, np.zeros(len(sigmas)), 0.0, 0
     try:

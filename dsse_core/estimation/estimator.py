@@ -32,13 +32,15 @@ def estimate_state(
     tolerance: float = LAST_STEP,
     backend: BackendChoice = "auto",
 ) -> EstimationResult:
-    """The estimate of one scan: ``build_estimation_plan``, which says what ``reference`` and ``backend`` are, and
-    ``estimate_with_plan``. For more than one scan of the same meters build the plan once.
+    """Estimate of one scan: ``build_estimation_plan`` and ``estimate_with_plan`` in one call.
+
+    ``reference``, ``backend``: see ``build_estimation_plan``. For more than one scan of the same meters build the plan
+    once.
 
     Raises:
         InvalidInputError: measurements that do not fit the network, or a back end that cannot serve.
         NotObservableError: names the buses that are not determined.
-        EstimationDivergedError: says why there is no end.
+        EstimationDivergedError: names the cause why the iteration has no end.
     """
     plan, values, sigmas = plan_scan(network, measurements, reference=reference, backend=backend)
     return estimate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance)
@@ -68,21 +70,22 @@ def estimate_with_plan(
     """Find the state that minimises J(x) = (z - h(x))' W (z - h(x)), W = diag(1 / sigma^2) (eqs. 3.8-3.14).
 
     ``values``, ``sigmas`` (n_meas,): the readings of the plan's meters. Virtual ones hold exactly; their sigma does
-    not count. Gauss-Newton as ``decision.decide`` says, until it is final or normalised residuals are wanted: no step
-    moves a voltage by more than MAX_DVM and MAX_DVA, and current magnitudes enter once the others have sent where flows
-    go: before, they have several minima.
+    not count. Gauss-Newton runs as ``decision.decide`` says, until the verdict is final or asks for normalised
+    residuals. No step moves a voltage by more than MAX_DVM and MAX_DVA. Current magnitudes enter once the other meters
+    have determined the direction of flows; before, J has several minima.
 
     Args:
-        start: (vm, va) in network order, such as the last scan's; its angle of the reference is kept. By default the
-            flat start, and there the set-point of the slack bus, 0 elsewhere; so too where the start leads to no end.
-        tolerance: what the last step may move, p.u. and rad, where steps shrink no faster than by one rate.
-        memory: what has been removed, and whether a start has led to no end before.
-        threads: that share the feeders below the first fork of a radial network; others are solved on one. Worth it
-            from some 10,000 buses on.
+        start: (vm, va) in network order, such as the last scan's; its angle of the reference is kept. By default, and
+            where the start leads to no end, the flat start. There the angle of the
+            reference is the set-point of the slack bus if that is the reference, else 0.
+        tolerance: the most that the last step may move, p.u. and rad, where convergence is linear.
+        memory: the meters removed before, and whether a start has led to no end before.
+        threads: number of threads that share the feeders below the first fork of a radial network. Other networks are
+            solved on one. Several threads pay from some 10,000 buses on.
 
     Raises:
-        InvalidInputError: readings that cannot be, a start that does not fit, or no thread.
-        EstimationDivergedError: says why there is no end, see ``explain_divergence``.
+        InvalidInputError: unusable readings, a start that does not fit, or no thread.
+        EstimationDivergedError: names the cause why the iteration has no end, see ``explain_divergence``.
     """
     values, sigmas = np.array(read_numbers("values", values)), np.array(read_numbers("sigmas", sigmas))
     try:
@@ -101,11 +104,11 @@ def iterate_with_plan(
     memory: Memory = NO_MEMORY,
     threads: int = 1,
 ) -> EstimationResult:
-    """``estimate_with_plan`` for a caller that goes on without an estimate, and need not know why there is none.
+    """``estimate_with_plan`` without the search for a cause, for callers that go on without an estimate.
 
     Raises:
         InvalidInputError: as there.
-        IterationLostError: there is no end.
+        IterationLostError: the iteration has no end.
     """
     values, sigmas = np.array(read_numbers("values", values)), np.array(read_numbers("sigmas", sigmas))
     if not values.shape == sigmas.shape == (len(plan.meters),):

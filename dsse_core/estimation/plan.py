@@ -1,5 +1,4 @@
-"""What an estimate needs to know of a network and its meters, found once and used for every scan; and by which back
-end the scans are solved."""
+"""Plan of an estimate: the facts of a network and its meters, found once for all scans, and the choice of back end."""
 
 from __future__ import annotations
 
@@ -21,14 +20,14 @@ from dsse_core.radial.plan import RadialPlan, build_radial_plan, drop_meters
 
 Backend = Literal["radial", "sparse"]
 BackendChoice = Literal["auto", "radial", "sparse"]
-# Of a radial network from which on ``auto`` loads numba: measured, an estimate with all normalised residuals takes
-# 1 ms with radial after 0.3 s for the import, and sparse 0.1 s with 500 or 1000 buses, so that some scans repay it.
+# Size of a radial network from which on ``auto`` loads numba. Measured with 500 or 1000 buses, an estimate with all
+# normalised residuals takes 1 ms with radial, after 0.3 s for the import, and 0.1 s with sparse: some scans repay it.
 FEWEST_BUSES_OF_RADIAL = 500
 
 
 @dataclass(frozen=True, repr=False)
 class EstimationPlan:
-    """``radial``: the plan of the back end of that name, or, as text, why it is not used."""
+    """Plan for scans of ``meters``. ``radial``: plan of the back end of that name, or the reason against it as text."""
 
     network: Network
     meters: Sequence[Meter]
@@ -47,17 +46,17 @@ class EstimationPlan:
 
     @cached_property
     def sparse(self) -> SparsePlan:
-        """Also where the back end is radial: for what it does not compute."""
+        """Plan of the sparse back end; where the back end is radial, for what that does not compute."""
         return build_sparse_plan(self.network, self.meters, self.reference)
 
     @cached_property
     def virtual(self) -> np.ndarray:
-        """Which readings hold exactly, shape (n_meas,)."""
+        """True for each reading that holds exactly, shape (n_meas,)."""
         return find_virtual(self.meters)
 
     @cached_property
     def indispensable(self) -> np.ndarray:
-        """Meters that leave the state undetermined when taken out, shape (n_meas,); see ``find_indispensable_rows``."""
+        """True for meters without which the state is undetermined, shape (n_meas,); see ``find_indispensable_rows``."""
         if isinstance(self.radial, str):
             return find_indispensable_rows(self.network, self.meters, self.reference)
         from dsse_core.radial.redundancy import find_radial_indispensable  # numba, loaded when the plan was built
@@ -65,7 +64,7 @@ class EstimationPlan:
         return find_radial_indispensable(self.radial)
 
     def without(self, rows: Sequence[int]) -> EstimationPlan:
-        """The plan without the meters at the positions ``rows``, on the same back end if that can still serve.
+        """Plan without the meters at the positions ``rows``, on the same back end if that can still serve.
 
         Raises:
             NotObservableError: names the buses that the others do not determine.
@@ -89,7 +88,7 @@ def build_estimation_plan(
     reference: int | None = None,
     backend: BackendChoice = "auto",
 ) -> EstimationPlan:
-    """The plan for scans of ``meters``, which are checked here and not again.
+    """Plan for scans of ``meters``, which are checked here and not again.
 
     Args:
         reference: bus whose angle is given; the slack bus by default.

@@ -1,4 +1,4 @@
-"""The estimate of radial networks by elimination on the tree; see ``radial_kernel``."""
+"""The estimate of radial networks by elimination on the tree; see ``radial.kernel``."""
 
 from __future__ import annotations
 
@@ -34,14 +34,15 @@ def estimate_radial(
     memory: Memory,
     threads: int = 1,
 ) -> tuple[Memory, Solution]:
-    """What ``estimate_sparse`` finds. ``sigmas`` (n_meas,) become 0 where a reading is ``exact``.
+    """Memory and solution of a scan, as ``estimate_sparse`` finds them, by elimination on the tree.
 
-    For small networks calls made in Python take longer than solving, so that what ``decide`` says between two steps is
-    compiled with them; that both come to the same is tested. On more than one thread it is done in Python again.
+    ``sigmas`` (n_meas,) become 0 where a reading is ``exact``. For small networks Python calls take longer than
+    solving, so the rules of ``decide`` between two steps are compiled with the steps; a test compares the two. On more
+    than one thread these rules run in Python.
 
     Raises:
-        InvalidInputError: readings that cannot be.
-        IterationLostError: there is no end.
+        InvalidInputError: unusable readings.
+        IterationLostError: the iteration has no end.
     """
     compiled, n = _load_compiled(), len(plan.order)
     state, residual, space = np.empty((2, n)), np.empty(len(values)), plan.take_space()
@@ -83,14 +84,14 @@ def _begin_at(plan: RadialPlan, start: tuple[np.ndarray, np.ndarray] | None) -> 
 
 @cache
 def _load_compiled() -> ModuleType:
-    """What needs numba; an import statement takes longer, every time, than to look it up here."""
+    """Module of compiled code, loaded with numba once; an import statement in each call would take longer."""
     from dsse_core.radial import iteration as radial_iteration
 
     return radial_iteration
 
 
 class RadialInverse(NamedTuple):
-    """The selected inverse of a tree, in tree order; ``radial.kernel`` says what the letters are.
+    """The selected inverse of a tree, in tree order; ``radial.kernel`` defines the letters.
 
     ``weights`` (n_bus, 10): variances of injections, -1 without a meter, and weights of other meters. ``X``
     (n_bus, 4, 4): D^-1 U. ``lam`` (n_bus, 3): upper triangle of (D^-1)_lamlam. ``T``, ``Z`` (n_bus, 2, 2): with them
@@ -109,7 +110,7 @@ class RadialInverse(NamedTuple):
 
 
 def invert_radial(plan: RadialPlan, sigmas: np.ndarray, vm: np.ndarray, va: np.ndarray) -> RadialInverse:
-    """Of the information that meters with ``sigmas`` (n_meas,) give at the state vm, va (n_bus,), network order."""
+    """Selected inverse of the information of meters with ``sigmas`` (n_meas,) at vm, va (n_bus,), network order."""
     from dsse_core.radial import inverse as radial_inverse
     from dsse_core.radial import iteration as radial_iteration
     from dsse_core.radial import kernel as radial_kernel

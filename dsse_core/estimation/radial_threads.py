@@ -20,7 +20,10 @@ Ended = tuple[int, int, float, float]
 
 @dataclass
 class FeederIteration:
-    """One iteration: its ``spans`` of buses below ``fork`` are done by one thread each. See ``iteration.estimate``."""
+    """One iteration on several threads: each of the ``spans`` of buses below ``fork`` has its own thread.
+
+    See ``iteration.estimate``.
+    """
 
     plan: RadialPlan
     pool: ThreadPoolExecutor
@@ -30,7 +33,7 @@ class FeederIteration:
     values: np.ndarray
     sigmas: np.ndarray
     space: np.ndarray
-    share: float = 0.0  # of the last step, of which the feeders' part is not taken yet
+    share: float = 0.0  # of the last step, which the feeders have still to take
     dva: float = 0.0
     to_fork: np.ndarray = field(init=False)
     above: list[np.ndarray] = field(init=False)
@@ -56,7 +59,7 @@ class FeederIteration:
         return list(itertools.pairwise(bounds))
 
     def begin(self, start: np.ndarray, start_va: np.ndarray) -> bool:
-        """Store the readings and ``start``; whether readings can be."""
+        """Stores the readings and ``start``; True where all readings are usable."""
         from dsse_core.radial import iteration
 
         v, va, z, w, *_ = self._views
@@ -74,7 +77,7 @@ class FeederIteration:
         return all(self._spread(store, self.spans)) and of_trunk
 
     def iterate(self, tolerance: float, most_steps: int, limit: float) -> tuple[int, int, float]:
-        """As ``iteration.iterate``, which has the same lines."""
+        """End, number of steps and size of the last one, by the same lines as ``iteration.iterate``."""
         has_currents = self.plan.has_currents
         flows_known, stepped, end = not has_currents, False, GO_ON
         steps, taken, largest, before = 0, 1.0, 0.0, 0.0
@@ -95,7 +98,7 @@ class FeederIteration:
         return end, steps, largest
 
     def _step(self, flows_known: bool) -> tuple[float, float, float, bool]:
-        """J where the feeders have moved to; the step from there: max |dva|, max |dvm|, and whether it is finite."""
+        """J at the state to which the feeders move first; of the step from there max |dva|, max |dvm|, and if finite."""
         from dsse_core.radial import feeders, kernel
 
         plan, fork = self.plan, self.fork
@@ -126,7 +129,7 @@ class FeederIteration:
         move(v[here], va[here], step[here], self.share, self.dva)
 
     def finish(self, state: np.ndarray, residual: np.ndarray) -> float:
-        """Fill ``state`` and ``residual``; J."""
+        """Fills ``state`` (2, n_bus) and ``residual`` (n_meas,); returns J."""
         from dsse_core.radial import iteration
 
         plan, fork = self.plan, self.fork
@@ -166,7 +169,7 @@ def estimate_on_threads(
     residual: np.ndarray,
     threads: int,
 ) -> Ended:
-    """What ``iteration.estimate`` does and returns."""
+    """``iteration.estimate`` on ``threads`` threads: fills the same arrays and returns the same numbers."""
     from dsse_core.radial.feeders import find_feeders
     from dsse_core.radial.iteration import UNUSABLE
 

@@ -1,6 +1,7 @@
-"""What residuals show of the readings: the chi-square test, normalised residuals, ties, and dead voltmeters.
+"""Tests of readings by their residuals: the chi-square test, normalised residuals, ties, and dead voltmeters.
 
-Rules of areas and centre alike; who applies them is in ``decision``, ``bad_data`` and ``feeder_bad_data``.
+The areas and the centralised estimator have the same rules. ``decision``, ``bad_data`` and ``feeder_bad_data`` apply
+them.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from dsse_core.grid.meter_table import KINDS, number_kinds
 CONFIDENCE = 0.99  # of the chi-square test
 THRESHOLD = 3.0  # of normalised residuals
 TIE = 1e-6  # relative difference of normalised residuals that are equal in exact arithmetic
-# Omega_ii / R_ii below which a residual says nothing about its measurement: what meters 1e6 times coarser leave.
+# Omega_ii / R_ii below which a residual says nothing about its measurement: meters 1e6 times coarser leave as much.
 CRITICAL_REDUNDANCY = 1e-12
-# Of (R_ii - Omega_ii) / R_ii, the variance of what a meter would read without error by its own: below it the meter says
-# next to nothing about that, and the difference would lose more than four digits.
+# Least (R_ii - Omega_ii) / R_ii, the variance of the estimated reading over that of the meter. Below it the meter says
+# next to nothing about its quantity, and the difference would lose more than four digits.
 LEAST_REDUCTION = 1e-4
 DEAD_VM = 0.5  # p.u.; no grid works below it, and weighted squares find states that almost would
 
@@ -37,8 +38,8 @@ def chi_square_limit(degrees_of_freedom: int, confidence: float) -> float:
 class MeterChecks:
     """Checks of the ``meters`` of an area or of the whole grid by an estimate; arrays (n_meas,).
 
-    ``residual``: z - h(x); ``variance``: diag(Omega); ``real``: not virtual. ``find_indispensable``: which meters are
-    that at no load, asked for where it counts.
+    ``residual``: z - h(x); ``variance``: diag(Omega); ``real``: not virtual. ``find_indispensable``: finds the meters
+    that are indispensable at no load, (n_meas,); called only where needed.
     """
 
     meters: Sequence[Meter]
@@ -58,27 +59,27 @@ class MeterChecks:
     def critical(self) -> tuple[str, ...]:
         """Ids of the meters without redundancy, in their order.
 
-        Their residual is zero whatever they read; or it is not, because losses or current magnitudes check them a
-        little, but without them the state is not observable.
+        Without such a meter the state is not observable. Its residual is zero whatever it reads, or nearly so where
+        losses or current magnitudes check it a little.
         """
         unchecked = (self.variance <= CRITICAL_REDUNDANCY * self.sigma**2) | self.find_indispensable()
         return tuple(self.meters[k].id for k in np.flatnonzero(unchecked & self.real).tolist())
 
     def suspects(self, threshold: float = THRESHOLD) -> tuple[dict[str, float], dict[str, float]]:
-        """Meter -> its normalised residual, of those above ``threshold``, see ``split_suspects``."""
+        """Meter -> its normalised residual, for the meters above ``threshold``; two parts, see ``split_suspects``."""
         above = np.flatnonzero(self.normalized > threshold).tolist()
         found = {self.meters[k].id: float(self.normalized[k]) for k in above}
         return split_suspects(found, set(self.critical))
 
 
 def keep_tied(suspects: Mapping[str, float]) -> dict[str, float]:
-    """The largest, and those that equal it."""
+    """The largest of ``suspects``, meter -> normalised residual, and those that equal it, by id."""
     least = max(suspects.values(), default=0.0) * (1 - TIE)
     return {meter: suspects[meter] for meter in sorted(suspects) if suspects[meter] >= least}
 
 
 def keep_equal(suspects: Mapping[str, float], largest: Mapping[str, float]) -> dict[str, float]:
-    """Those of ``suspects`` that equal the ``largest``, as ``keep_tied`` found them."""
+    """The meters of ``suspects`` whose residual equals the ``largest``, which ``keep_tied`` has found, by id."""
     size = max(largest.values(), default=0.0)
     return {meter: suspects[meter] for meter in sorted(suspects) if abs(suspects[meter] - size) <= TIE * size}
 
@@ -86,8 +87,10 @@ def keep_equal(suspects: Mapping[str, float], largest: Mapping[str, float]) -> d
 def split_suspects(
     suspects: Mapping[str, float], critical: Collection[str]
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Of meters with their normalised residuals those that may go, the largest and its equals, and the ``critical``
-    ones that equal them.
+    """Two parts of ``suspects``, meter -> normalised residual: meters that may go, and ``critical`` ones.
+
+    The first part has the largest residual of the meters that are not critical, and its equals. The second part has the
+    critical meters whose residual equals these.
     """
     worst = keep_tied({meter: value for meter, value in suspects.items() if meter not in critical})
     return worst, keep_equal({meter: value for meter, value in suspects.items() if meter in critical}, worst)
@@ -96,8 +99,8 @@ def split_suspects(
 def find_dead(meters: Sequence[Meter], values: Sequence[float] | np.ndarray) -> list[int]:
     """Positions of the voltmeters that read less than DEAD_VM.
 
-    They are never believed: the state is what the other meters say, and is not observable where they do not
-    determine it. Several of them do not confirm each other.
+    Dead voltmeters are never believed: the other meters alone determine the state, or it is not observable. Several
+    dead voltmeters do not confirm each other.
     """
     dead = (number_kinds(meters) == KINDS.index(MeasurementKind.VM)) & (np.asarray(values) < DEAD_VM)
     return np.flatnonzero(dead).tolist()

@@ -23,9 +23,9 @@ class EstimationResult:
 
     ``values``, ``sigmas`` (n_meas,): the readings of the plan's meters, sigma 0 where a reading holds exactly.
     ``objective`` is J(x) (eq. 3.9), which under the model's assumptions is chi-square distributed with
-    ``degrees_of_freedom`` = measurements + constraints - state variables. What is not stored is computed when it is
-    asked for, by the radial back end where that is chosen, and else, or where it does not give it, by sparse
-    factorisation. ``iterations``: steps since the start that it ended from. ``memory``: what later verdicts rest on;
+    ``degrees_of_freedom`` = measurements + constraints - state variables. Properties are computed on demand, by the
+    radial back end where that is chosen and computes them, else by sparse factorisation. ``iterations``: number of
+    steps from the last start to the end. ``memory``: the state of the decisions, on which later verdicts rest;
     ``evaluating`` where J has exceeded the chi-square limit.
     """
 
@@ -47,7 +47,7 @@ class EstimationResult:
 
     @property
     def backend(self) -> Backend:
-        """By which the state was found; ``plan.radial`` says why not by the other."""
+        """Back end that found the state; where it is sparse, ``plan.radial`` says why it is not radial."""
         return self.plan.backend
 
     @property
@@ -106,7 +106,8 @@ class EstimationResult:
     def residual_variance(self) -> np.ndarray:
         """diag(Omega), ``Omega = R - H G^-1 H'`` (eq. 3.22), shape (n_meas,); 0 for virtual measurements.
 
-        In networks with so many long loops that all would take too long it is nan, but of the largest |r| / sigma.
+        In networks with so many long loops that all variances would take too long, only those of the largest
+        |r| / sigma are found, and the others are nan.
         """
         if (of_radial := self._radial_variances) is not None:
             return of_radial[1]
@@ -117,12 +118,12 @@ class EstimationResult:
 
     @cached_property
     def radial_inverse(self) -> RadialInverse:
-        """What all variances follow from where the back end is radial."""
+        """Selected inverse of the tree, from which all variances follow where the back end is radial."""
         assert not isinstance(self.plan.radial, str), "the back end is sparse"
         return invert_radial(self.plan.radial, self.sigmas, self.vm, self.va)
 
     @property
     def _radial_variances(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Variances of x and of the residuals where the back end is radial."""
+        """Variances of x and of the residuals where the back end is radial, else None."""
         radial = self.plan.radial
         return None if isinstance(radial, str) else find_radial_variances(radial, self.radial_inverse)

@@ -1,4 +1,4 @@
-"""The estimate of any network by sparse factorisation of the tableau; what depends on topology only is found once."""
+"""The estimate of any network by sparse factorisation of the tableau; all that depends on topology is found once."""
 
 from __future__ import annotations
 
@@ -34,9 +34,11 @@ SMALL_STEP = 0.02  # p.u. and rad; after a smaller one the last factor may serve
 
 @dataclass(frozen=True, repr=False)
 class SparsePlan:
-    """``free``: the state variables but the reference angle. ``entries``: which entries of the model's H are theirs;
-    ``empty`` (n_meas, n_free): where they stand. ``start``: x = [va; vm] of the flat start with the reference's angle.
-    ``at_start``: the factor there for the last sigmas, which most meters keep from scan to scan.
+    """Plan of the sparse back end for scans of ``meters``.
+
+    ``free``: the state variables but the reference angle. ``entries``: the entries of the model's H in the columns
+    ``free``. ``empty`` (n_meas, n_free): the pattern of these entries. ``start``: x = [va; vm] of the flat start with
+    the reference's angle. ``at_start``: the factor there for the last sigmas, which most meters keep from scan to scan.
     """
 
     meters: Sequence[Meter]
@@ -52,7 +54,7 @@ class SparsePlan:
         return f"<SparsePlan: {len(self.meters)} meters, {len(self.free)} state variables>"
 
     def linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
-        """h(x), (n_meas,), and the columns ``free`` of H(x); what ``start`` itself gives is kept."""
+        """h(x), (n_meas,), and the columns ``free`` of H(x); those at ``start`` itself are kept."""
         h, data = self._at_flat_start if x is self.start else self._find_h_and_entries(x)
         H = copy.copy(self.empty)  # a new one would have its indices checked each time
         H.data = data.copy() if x is self.start else data
@@ -84,10 +86,10 @@ class SparsePlan:
         return np.flatnonzero(self.model.kinds == MeasurementKind.CURRENT)
 
     def factor(self, H: sp.csr_array, sigmas: np.ndarray, *, at_start: bool = False) -> AugmentedFactor:
-        """The factor for H; ``at_start``: of the flat start, without currents, the one that is kept.
+        """Factor for H; ``at_start``: H is that of the flat start without currents, whose factor is kept.
 
-        Compiled, the pivots are those of the flat start for these sigmas, if they serve, and not those of whatever was
-        estimated before: the same readings have the same estimate, to the bit.
+        Compiled factors use the pivots of the flat start for these sigmas if they serve, never those of an estimate
+        before: the same readings have the same estimate, to the bit.
         """
         if not at_start and not self.pattern.is_compiled:
             return AugmentedFactor(H, sigmas, pattern=self.pattern)
@@ -105,7 +107,7 @@ class SparsePlan:
 
 
 def build_sparse_plan(network: Network, meters: Sequence[Meter], reference: int) -> SparsePlan:
-    """The plan for ``meters`` that fit the network and determine its state."""
+    """Plan for ``meters`` that fit the network and determine its state."""
     model = build_measurement_model(network, build_admittance(network), meters)
     vm, va = flat_start(network, reference)
     given = network.slack.va if network.slack and network.slack.bus == reference else 0.0
@@ -129,15 +131,17 @@ def estimate_sparse(
     tolerance: float,
     memory: Memory,
 ) -> tuple[Memory, Solution]:
-    """Gauss-Newton until it is final or to be evaluated; ``sigmas`` (n_meas,) are 0 where a reading holds exactly.
+    """Memory and solution of a scan: Gauss-Newton until the verdict is ``FINAL`` or ``EVALUATE``.
+
+    ``sigmas`` (n_meas,) are 0 where a reading holds exactly.
 
     Raises:
-        IterationLostError: there is no end.
+        IterationLostError: the iteration has no end.
     """
     grid, removed = SparseIteration(plan, values, sigmas, start, from_flat_start=memory.from_flat_start), memory.removed
     while True:
         memory, verdict = decide(memory, grid.totals(), tolerance)
-        if verdict.reason or memory.removed != removed:  # of the plan's meters there is no estimate
+        if verdict.reason or memory.removed != removed:  # the plan's meters have no estimate
             raise grid.diverged(verdict.reason)
         grid.carry_out(verdict)
         if verdict.decision not in (Decision.EVALUATE, Decision.FINAL):
@@ -151,7 +155,7 @@ def estimate_sparse(
 
 
 class SparseIteration:
-    """The whole grid as one area without neighbours: its totals, and its part of what is decided, which is all of it.
+    """The whole grid as one area without neighbours: states its totals, and carries out verdicts.
 
     ``x``: the state x_k = [va; vm], (2 n_bus,), p.u. and rad. Steps are solved with the tableau of ``augmented``, on
     the last factor where that serves.
@@ -185,7 +189,7 @@ class SparseIteration:
 
     @property
     def is_lost(self) -> bool:
-        """Whether the last step has led to no state, or there is none."""
+        """True where the last step has led to no state, or no step could be solved for."""
         return not max(self._size) <= LARGEST_STEP
 
     def totals(self) -> Totals:
@@ -212,7 +216,7 @@ class SparseIteration:
         return self._linearized
 
     def _find_objective(self, r: np.ndarray) -> float:
-        """J of residuals r, (n_meas,); what holds exactly does not count."""
+        """J of residuals r, (n_meas,); readings that hold exactly do not count."""
         weighted = r * self._weight
         return float(weighted @ weighted)
 
@@ -244,11 +248,11 @@ class SparseIteration:
         self._move(share)
 
     def _forget_step(self) -> None:
-        """What follows is not derived from it; nor does its factor serve."""
+        """Drops the last step and its factor: the next steps are not compared with it, nor solved on its factor."""
         self._step, self._size, self._factor = np.zeros(len(self._plan.free)), (0.0, 0.0), None
 
     def _move(self, share: float) -> None:
-        """Take ``share`` of the step from where it was begun."""
+        """Moves x by ``share`` of the last step from the state where that began."""
         self.x, self._linearized = self._before.copy(), None
         self.x[self._plan.free] += share * self._step
 

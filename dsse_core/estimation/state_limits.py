@@ -1,4 +1,4 @@
-"""What an estimate must keep to be relied on: the words that scenarios and agents share."""
+"""Limits that an estimate must keep to be relied on; scenarios and agents share them."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class StateLimits:
-    """An estimate outside of these is ``degraded``.
+    """Limits of an estimate; outside of them it is ``degraded``.
 
     ``lowest_vm``, ``highest_vm``: the band of voltage magnitudes, p.u. ``most_removed``: the share of an area's meters
-    that may be taken out as bad data; beyond it, it is not clear which of them are the bad ones. ``most_overdue``: the
-    share of its meters with an interval whose reading may be missing or overdue.
+    that may be taken out as bad data; beyond it the test cannot tell bad meters from good ones. ``most_overdue``: the
+    largest share of meters with a missing or overdue reading, among the area's meters with an interval.
     """
 
     lowest_vm: float = 0.5
