@@ -67,7 +67,7 @@ class BadDataReport:
 
     @property
     def undecided(self) -> tuple[tuple[str, ...], ...]:
-        """Groups of meters of which the first is removed, where the data cannot tell which meter of a group is wrong."""
+        """Groups of meters of which the first is removed; the data cannot tell which meter of a group is wrong."""
         groups = ((r.measurement.meter.id, *r.indistinguishable_from) for r in self.removed)
         return tuple(group for group in groups if len(group) > 1)
 

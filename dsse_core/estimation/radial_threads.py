@@ -98,7 +98,7 @@ class FeederIteration:
         return end, steps, largest
 
     def _step(self, flows_known: bool) -> tuple[float, float, float, bool]:
-        """J at the state to which the feeders move first; of the step from there max |dva|, max |dvm|, and if finite."""
+        """J at the state to which the feeders move first; max |dva| and |dvm| of the step from there, and if finite."""
         from dsse_core.radial import feeders, kernel
 
         plan, fork = self.plan, self.fork

@@ -1,7 +1,7 @@
-"""One area's part in the Gauss-Newton iteration of the whole grid: x_k of its own buses, and what others need of it.
+"""One area's part in the Gauss-Newton iteration of the whole grid: x_k of its own buses, and the messages about it.
 
-At each x_k an area passes on the information of its side, takes in that of all others, and then knows its part of the
-step of the whole grid. What is decided on the way (``decision``) it carries out here. A grid of one area is the
+At each x_k an area passes on the information of its side and takes in that of all other sides. From these it knows its
+part of the step of the whole grid. It carries out here the verdicts of ``decision``. A grid of one area gives the
 centralised estimate.
 """
 
@@ -30,19 +30,20 @@ from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BoundaryInformation, are_within_reason
 from dsse_core.linear.contributions import VoltageReadings
 
-AGED = 0.1  # of the weight of what a neighbour that is no longer received has last sent; its sigmas grow tenfold
-FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError, DsseError)  # of absurd numbers
+AGED = 0.1  # factor on the last information of a neighbour that is no longer received: its sigmas grow tenfold
+FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError, DsseError)  # caused by absurd numbers
 
 T = TypeVar("T")
 Received = Mapping[str, BoundaryInformation]
 
 
 class AreaEstimation:
-    """``x``: the state x_k, shape (size,), see ``AreaModel``; p.u. and rad. ``failure``: why there are no numbers.
+    """Estimation of one area during a scan.
 
-    ``linearized_at``: x before the last step. What the neighbours have sent is of that state, so there alone the area
-    has a part of the whole grid's inverse, the diagonal of which variances are: beside it rows at x are those of no
-    grid, and two areas would state two standard deviations of the bus that they share.
+    ``x``: the state x_k, shape (size,), see ``AreaModel``; p.u. and rad. ``failure``: the reason why the area has no
+    numbers, else empty. ``linearized_at``: x before the last step. The neighbours' information belongs to that state.
+    Only there does the area have its part of the inverse of the whole grid, whose diagonal gives the variances. With
+    rows at x two areas would state two standard deviations of the bus that they share.
     """
 
     def __init__(self, area: Area) -> None:
@@ -56,8 +57,8 @@ class AreaEstimation:
         self.removed: tuple[str, ...] = ()
         self.critical: tuple[str, ...] = ()
         self.unobservable: tuple[int, ...] = ()  # buses
-        self.is_first = False  # whether no step of this start has been taken, and no-load information is wanted
-        self.reported: set[str] = set()  # own meters that have been named as the worst in this term
+        self.is_first = False  # no step of this start has been taken, and no-load information is wanted
+        self.reported: set[str] = set()  # own meters that the area has named as the worst in this term
         self.own_meters: frozenset[str] = frozenset()  # that have a reading
         self._readings: tuple[Measurement, ...] = ()
         self._meters_read: tuple[Meter, ...] = ()
@@ -70,17 +71,17 @@ class AreaEstimation:
         self._uses_currents = False
         self._n_current = 0  # current meters that can be used
         self._received: Received = {}  # at ``linearized_at``
-        self._boundary_values: dict[str, tuple[np.ndarray, tuple[float, ...]]] = {}  # of which x
-        self.before_removal: tuple[np.ndarray, Received] | None = None  # x with all meters, and what it rests on
+        self._boundary_values: dict[str, tuple[np.ndarray, tuple[float, ...]]] = {}  # neighbour -> x, and y there
+        self.before_removal: tuple[np.ndarray, Received] | None = None  # x with all meters, and messages of its step
         self._aged: dict[str, BoundaryInformation] = {}
-        self._last_y: dict[str, np.ndarray] = {}  # where areas meet at several buses: y while the neighbour was there
+        self._last_y: dict[str, np.ndarray] = {}  # where areas meet at several buses: last y with the neighbour in use
         self._stand_ins: dict[str, BoundaryInformation] = {}
-        self._omega: np.ndarray | None = None  # of the residuals, of the model and state of ``find_sigmas``
+        self._omega: np.ndarray | None = None  # variances of the residuals, from ``find_sigmas``
         self._model: AreaModel | None = None
-        self._no_load: NoLoadModel | None = None  # while something of it is asked for
+        self._no_load: NoLoadModel | None = None  # None while it is not needed
         self._measured_at_no_load: Sequence[Measurement] = ()
         self._meters_of_no_load: tuple[Meter, ...] = ()
-        self._kept_no_load: dict[tuple[str, ...], tuple[object, object]] = {}  # what -> what it follows from, itself
+        self._kept_no_load: dict[tuple[str, ...], tuple[object, object]] = {}  # query -> its input, its result
 
     @property
     def model(self) -> AreaModel:
@@ -88,7 +89,7 @@ class AreaEstimation:
         return self._model
 
     def describe_backend(self) -> str:
-        """For the log: what computes, and how often something else had to."""
+        """Text for the log: the name of the back end, and how often sparse matrices had to take a call."""
         linear = self._model.linear if self._model else None
         if linear is None:
             return choose_backend(self.area)
@@ -105,10 +106,11 @@ class AreaEstimation:
         stale: bool,
         loads: Mapping[str, NetLoad] | None = None,
     ) -> None:
-        """Start at the state so far, with ``readings``, virtual ones included; ``silent``: neighbours not in use.
+        """Starts at the state so far, with ``readings``, virtual ones included; ``silent``: neighbours not in use.
 
-        ``stale``: the readings are not of this scan. ``loads``: neighbour -> its load message, which stands in for
-        its information as long as that has never been received; see ``stand_in_as_it_was`` of boundaries in a ring.
+        ``stale``: the readings are not of this scan. ``loads``: neighbour -> its load message. The load message stands
+        in for the neighbour's information as long as that has never been received. For boundaries at several buses see
+        ``stand_in_as_it_was``.
         """
         self._readings, self._silent, self._is_stale = tuple(readings), frozenset(silent), stale
         if (meters := tuple(m.meter for m in self._readings)) != self._meters_read:
@@ -119,7 +121,7 @@ class AreaEstimation:
         self._stand_ins = self._find_stand_ins(loads or {})
 
     def _find_stand_ins(self, loads: Mapping[str, NetLoad]) -> dict[str, BoundaryInformation]:
-        """Silent neighbour -> what stands in for its information."""
+        """Silent neighbour -> information that stands in for its own."""
         found, boundaries = {}, self.area.boundaries
         for name in self._silent:
             if not boundaries[name].is_single:
@@ -144,7 +146,7 @@ class AreaEstimation:
 
     @property
     def dead_voltmeters(self) -> tuple[str, ...]:
-        """Ids of those that are left out because no grid works at what they read."""
+        """Ids of the voltmeters that are left out because no grid works at the voltage that they read."""
         voltmeters = [m for m in self._readings if m.meter.kind is MeasurementKind.VM]
         rows = find_dead([m.meter for m in voltmeters], [m.value for m in voltmeters])
         return tuple(voltmeters[k].meter.id for k in rows)
@@ -155,11 +157,11 @@ class AreaEstimation:
 
     @property
     def _is_blank(self) -> bool:
-        """Whether readings are missing, and there has never been one."""
+        """True where the readings of the scan are missing and no earlier ones are known."""
         return self._is_stale and not any(m.meter.source is not Source.VIRTUAL for m in self._readings)
 
     def _build(self) -> None:
-        """The models of the meters in use; other readings of the same ones change neither rows nor no-load model."""
+        """Builds the models of the meters in use; new readings of the same meters keep rows and no-load model."""
         self._omega = None
         with_currents = self._in_use()
         without = [m for m in with_currents if m.meter.kind is not MeasurementKind.CURRENT]
@@ -185,29 +187,30 @@ class AreaEstimation:
         self._measured_at_no_load = in_use
 
     def _at_no_load(self) -> NoLoadModel:
-        """Built when it is first asked for, and kept until all of this start have been sent what follows from it:
-        later scans of the same meters ask for the same, which is kept in its place.
+        """The no-load model, built on the first call and kept until the no-load information of this start is sent.
+
+        Later scans of the same meters need only the results, which ``_keep`` keeps.
         """
         if self._no_load is None:
             self._no_load = build_no_load_model(self.area, self._measured_at_no_load, self._reference)
         return self._no_load
 
-    # What others are sent
+    # Messages to neighbours
 
     def set_power(self, neighbour: str, power: Sequence[float]) -> None:
-        """The powers into a child's branches at x_k, as the child has them."""
+        """Takes the powers into a child's branches at x_k, as the child states them."""
         n, n_powers = self._by_name[neighbour], self.area.boundaries[neighbour].n_powers
         if not n.is_parent and len(power) == n_powers:
             self.x = self.x.copy()
             self.x[self.model.boundary_columns(n)[:n_powers]] = power
 
     def power_for(self, neighbour: str) -> tuple[float, ...]:
-        """The powers at the boundary at x_k, for a parent; nothing for a child, who knows them better."""
+        """The powers at the boundary at x_k for a parent; empty for a child, as the child computes them itself."""
         n, n_powers = self._by_name[neighbour], self.area.boundaries[neighbour].n_powers
         return tuple(self.model.boundary_values(self.x, n)[:n_powers].tolist()) if n.is_parent else ()
 
     def boundary_values(self, neighbour: str) -> tuple[float, ...]:
-        """y of the boundary to ``neighbour``; found once of one x, which every heartbeat repeats."""
+        """y of the boundary to ``neighbour`` at x_k; found once for each x, as every heartbeat repeats it."""
         kept = self._boundary_values.get(neighbour)
         if kept is None or kept[0] is not self.x:
             values = tuple(self.model.boundary_values(self.x, self._by_name[neighbour]).tolist())
@@ -215,7 +218,9 @@ class AreaEstimation:
         return kept[1]
 
     def information_for(self, neighbour: str, received: Received) -> BoundaryInformation:
-        """What this side, all areas but those behind ``neighbour``, knows at x_k; ``received``: of the others in use.
+        """Information of this side, all areas but those behind ``neighbour``, at x_k.
+
+        ``received``: the information of the other neighbours in use.
 
         Raises:
             FAILURES: numbers that no estimate can have.
@@ -224,7 +229,7 @@ class AreaEstimation:
         return _checked(found)
 
     def no_load_for(self, neighbour: str, received: Mapping[str, BoundaryInformation]) -> BoundaryInformation | None:
-        """The same of no-load information; None where some of this side is missing."""
+        """No-load information of this side; None where the information of some area of this side is missing."""
         others = {n for n in self._by_name if n != neighbour}
         if self._silent or self._is_blank or others - received.keys():
             return None
@@ -232,7 +237,10 @@ class AreaEstimation:
         return self._keep((neighbour,), beyond, lambda: _checked(self._at_no_load().information_for(n, beyond)))
 
     def _keep(self, what: tuple[str, ...], received: Received, find: Callable[[], T]) -> T | None:
-        """What ``find`` makes of the no-load model and ``received``, found anew only where these differ."""
+        """Result of ``find`` under the key ``what``, kept as long as the no-load model and ``received`` do not change.
+
+        None where ``find`` fails.
+        """
         of = tuple((name, received[name].R.tobytes()) for name in sorted(received))
         if what not in self._kept_no_load or self._kept_no_load[what][0] != of:
             try:
@@ -243,12 +251,12 @@ class AreaEstimation:
         return cast("T | None", self._kept_no_load[what][1])
 
     def _with_aged(self, received: Received) -> Received:
-        """With what silent neighbours have last sent."""
+        """``received``, with the information that stands in for that of silent neighbours."""
         stand_ins = self._stand_ins | self._aged
         return {name: stand_ins[name] for name in self._silent if name in stand_ins} | dict(received)
 
     def totals(self) -> Totals:
-        """The area's own part at x_k."""
+        """The area's own part of the totals at x_k."""
         name, model, n = self.area.name, self.model, self._n
         size = abs(self._step)
         sizes = find_objective(model, self.x), float(size[:n].max()), float(size[n : 2 * n].max())
@@ -275,10 +283,10 @@ class AreaEstimation:
             unobservable=_as_ranges([bus for bus in self.unobservable if bus not in self.area.not_owned]),
         )
 
-    # Carrying out what is decided
+    # Carrying out verdicts
 
     def carry_out(self, verdict: Verdict, memory: Memory, received: Received, no_load: Received) -> None:
-        """Do what ``verdict`` says, at x_k, with the information ``received`` of all neighbours in use."""
+        """Carries out ``verdict`` at x_k with the information ``received`` of all neighbours in use."""
         try:
             self._check_no_load(no_load)
             if verdict.takes_step:
@@ -308,7 +316,7 @@ class AreaEstimation:
             self.fail(error)
 
     def _keep_last(self, received: Received) -> None:
-        """Of the end of a scan what may have to stand in for the neighbours that have sent ``received``."""
+        """Keeps, at the end of a scan, the stand-ins for neighbours that have sent ``received`` and may fall silent."""
         for name, message in received.items():
             if self.area.boundaries[name].is_single:
                 self._aged[name] = BoundaryInformation(AGED * message.R, AGED * message.z)
@@ -316,12 +324,12 @@ class AreaEstimation:
                 self._last_y[name] = self.model.boundary_values(self.x, self._by_name[name])
 
     def prepare(self) -> None:
-        """Do what the next round needs and no message states."""
+        """Computes the part of the next round that needs no message."""
         if not self.failure:
             self.model.linear.prepare(self.x)
 
     def fail(self, error: BaseException) -> None:
-        """Go on without numbers: others end the scan then."""
+        """Goes on without numbers; the totals then name the area as failed, so that all areas end the scan."""
         self.failure = f"{type(error).__name__}: {error}"
         self.x = self._flat
         self._step = np.zeros_like(self.x)
@@ -333,7 +341,10 @@ class AreaEstimation:
         return float(np.sqrt(find_objective(self.model, self.linearized_at) / n_real)) if n_real else 0.0
 
     def _check_information(self, received: Received) -> None:
-        """A step without the information of one side would be that of another grid: who has no numbers sends none."""
+        """Raises ArithmeticError where a neighbour in use has sent no information, as an area without numbers does.
+
+        A step without the information of one side would be that of another grid.
+        """
         if missing := self._by_name.keys() - self._silent - received.keys():
             raise ArithmeticError(f"no numbers from {', '.join(sorted(missing))}")
 
@@ -342,7 +353,7 @@ class AreaEstimation:
             raise ArithmeticError("the step has no numbers")
 
     def _check_no_load(self, received: Received) -> None:
-        """With the no-load information of all neighbours: which buses no meter determines, which meter is critical."""
+        """Finds unobservable buses and critical meters, if the no-load information of all neighbours is there."""
         if not self.is_first:
             return
         self.is_first = False
@@ -357,7 +368,7 @@ class AreaEstimation:
             self.critical = tuple(sorted(indispensable & self.model.real_ids))
 
     def _evaluate(self) -> None:
-        """Which meters are critical, and the largest normalised residual of the others."""
+        """Finds the critical meters, and the largest normalised residual of the others."""
         checks = self._check_meters(self._variances()[1])
         self.critical, (worst, tied) = checks.critical, checks.suspects()
         self._worst, self._tied = (tuple(sorted(found.items()))[:MOST_NAMED] for found in (worst, tied))
@@ -375,8 +386,9 @@ class AreaEstimation:
         return sigma[self._n : 2 * self._n], sigma[: self._n], self._check_meters(variance).critical
 
     def describe_readings(self) -> dict[str, tuple[float, float]]:
-        """Id of each real meter in use -> what it would read in this state, p.u. or rad, and its normalised residual, 0
-        where it is the only one that determines it; empty before ``find_sigmas``.
+        """Id of each real meter in use -> its reading as predicted in this state, p.u. or rad, and normalised residual.
+
+        The residual is 0 where no other meter checks the reading. Empty before ``find_sigmas``.
         """
         if self._omega is None:
             return {}
@@ -385,7 +397,7 @@ class AreaEstimation:
         return {model.ids[k]: (estimates[k], normalized[k]) for k in np.flatnonzero(checks.real).tolist()}
 
     def _check_meters(self, variance: np.ndarray) -> MeterChecks:
-        """At x, with diag(Omega) ``variance``, (n_meas,)."""
+        """Checks of the meters at x, with ``variance`` = diag(Omega), (n_meas,)."""
         model = self.model
         of_meters = model.residual(self.x), variance, model.sigma, ~model.virtual
         return MeterChecks(
@@ -393,7 +405,7 @@ class AreaEstimation:
         )
 
     def _variances(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of all state variables, shape (size,), and of the residuals, shape (n_meas,)."""
+        """Variances at ``linearized_at``: of all state variables, shape (size,), and of the residuals, shape (n_meas,)."""
         return self.model.linear.variances(self.linearized_at, self._received)
 
     @property
@@ -408,10 +420,10 @@ class AreaEstimation:
 
 
 def _checked(information: BoundaryInformation) -> BoundaryInformation:
-    """``information``, which its receiver takes: of what that rejects, the areas would wait for each other for ever.
+    """``information``, checked as its receiver does. After a rejected message areas would wait for each other for ever.
 
     Raises:
-        ArithmeticError: it does not.
+        ArithmeticError: the receiver would reject the information.
     """
     if not are_within_reason((*information.R.flat, *information.z)):
         raise ArithmeticError("the information of this side is beyond reason")

@@ -1,9 +1,9 @@
-"""Net loads at boundary buses: what an area's network leaves out, as one load per boundary bus.
+"""Net loads at boundary buses: the grid beyond an area's network as one load per boundary bus.
 
 The load at a boundary bus is loads minus generation of everything beyond it (thesis eqs. 5.1, 5.2, 5.6,
 5.7); losses beyond are neglected. It is summed hop by hop along the tree of areas: area i sends neighbour j
 the net load of all buses on its side. A boundary bus itself counts on the side of its owner. Shunts and line
-charging count as loads at 1 p.u. voltage; what they take more or less at another voltage is neglected.
+charging count as loads at 1 p.u. voltage; the difference at another voltage is neglected.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from dsse_core.grid.measurement import Measurement, MeasurementKind, Source
 from dsse_core.grid.partition import Area, Neighbour, Partition
 from dsse_core.linear.boundary_information import BoundaryInformation
 
-UNSURE_OF_LOAD = 0.1  # share of a net load, which neglects losses, and
-LEAST_LOAD = 0.01  # p.u.: what they add to its standard deviation
-AS_IT_WAS = 0.05  # p.u. and rad: standard deviation of a voltage where areas meet at several buses, beside what it was
+UNSURE_OF_LOAD = 0.1  # share of a net load that is added to its standard deviation, as it neglects losses
+LEAST_LOAD = 0.01  # p.u., added to the standard deviation of every net load
+AS_IT_WAS = 0.05  # p.u. and rad: standard deviation of a voltage from its last value where areas meet at several buses
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ def measured_net_loads(area: Area, measurements: Sequence[Measurement]) -> dict[
 
 
 def own_net_load(area: Area, measured: Mapping[int, NetLoad] | None = None) -> NetLoad:
-    """The net load of the buses that ``area`` owns: the schedule, or what is ``measured`` where it is (by bus).
+    """The net load of the buses that ``area`` owns: ``measured`` (bus -> net load) where that is known, else scheduled.
 
     Shunts, which no injection meter sees, and the charging of the area's branches are added.
     """
@@ -61,12 +61,12 @@ def own_net_load(area: Area, measured: Mapping[int, NetLoad] | None = None) -> N
 
 
 def load_message_for(neighbour: str, own: NetLoad, received: Mapping[str, NetLoad]) -> NetLoad:
-    """What an area sends ``neighbour``: its own net load and that of all its other neighbours."""
+    """Load message to ``neighbour``: the area's own net load plus those of all its other neighbours."""
     return add_loads([own, *(load for name, load in received.items() if name != neighbour)])
 
 
 def boundary_loads(area: Area, received: Mapping[str, NetLoad], error: complex = 0j) -> dict[int, NetLoad]:
-    """Boundary bus -> load beyond it: what the neighbours there send, plus ``error`` (eqs. 5.4, 5.5).
+    """Boundary bus -> load beyond it: the sum of the neighbours' load messages there, plus ``error`` (eqs. 5.4, 5.5).
 
     The error is added once per boundary bus. A bus whose neighbours have not all been received is left out.
     """
@@ -79,7 +79,7 @@ def boundary_loads(area: Area, received: Mapping[str, NetLoad], error: complex =
 
 
 def stand_in_for(neighbour: Neighbour, boundary: Boundary, load: NetLoad) -> BoundaryInformation:
-    """What the net load on the side of ``neighbour`` states of the variables y of the ``boundary``, p.u. and rad."""
+    """Information about the variables y of the ``boundary``, p.u. and rad, from the net load beyond ``neighbour``."""
     power = -load.s if neighbour.is_parent else load.s
     weight = 1 / (load.variance**0.5 + UNSURE_OF_LOAD * abs(load.s) + LEAST_LOAD)
     R = np.diag(boundary.per_kind(weight, weight, 0.0, 0.0))
@@ -87,11 +87,12 @@ def stand_in_for(neighbour: Neighbour, boundary: Boundary, load: NetLoad) -> Bou
 
 
 def stand_in_as_it_was(boundary: Boundary, y: np.ndarray, all_load: float) -> BoundaryInformation:
-    """What is stated of a ``boundary`` at several buses where the neighbour is silent: near y, as it was, shape (d,).
+    """Information about a ``boundary`` at several buses with a silent neighbour: its variables stay near y, shape (d,).
 
-    A net load has no side in a ring, and what the neighbour has sent last rests on switches that it may have operated.
-    ``all_load``: sum of the sizes of net loads on both sides, p.u. Within it and the largest power, which a switch may
-    end, each power stays: generation may make up for a load, and a current may go around the ring without any.
+    A net load has no side in a ring. The neighbour's last information is no better, as the neighbour may have operated
+    switches since. ``all_load``: sum of the sizes of net loads on both sides, p.u. The standard deviation of each power
+    is ``all_load`` plus the largest power of y, plus LEAST_LOAD: a switch may end that power, generation may make up
+    for a load, and a current may go around the ring without any load.
     """
     power = 1 / (all_load + abs(y[: boundary.n_powers]).max() + LEAST_LOAD)
     R = np.diag(boundary.per_kind(power, power, 1 / AS_IT_WAS, 1 / AS_IT_WAS))
@@ -108,7 +109,7 @@ def scheduled_load_messages(partition: Partition) -> dict[str, dict[str, NetLoad
         beyond = {name: received[sender][name] for name in beside[sender] if name != receiver}
         received[receiver][sender] = load_message_for(receiver, own[sender], beyond)
 
-    links = [("", partition.areas[0].name)]  # from an area to the next, down the tree from any one
+    links = [("", partition.areas[0].name)]  # from an area to the next, down the tree from the first area
     for above, name in links:
         links += [(name, below) for below in beside[name] if below != above]
     for above, name in reversed(links[1:]):

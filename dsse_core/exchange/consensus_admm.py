@@ -4,8 +4,8 @@ Kekatos and Giannakis, Distributed Robust Power System State Estimation, IEEE Tr
 on the powers and voltages y of a boundary (``grid/boundary.py``) and with their multipliers eliminated: each side
 minimises its own J plus ``1/2 |M^(1/2) (y - z)|^2`` at each of its boundaries, sends ``r = 2 y - z`` and takes the
 other side's r into ``z <- z + relaxation (r - z)`` (Douglas-Rachford splitting; relaxation 1/2 is plain ADMM). At the
-fixed point both y are equal and the gradients ``M (z - y)`` of the two sides cancel: the centralised estimate, whatever
-z was before.
+fixed point both y are equal and the gradients ``M (z - y)`` of the two sides cancel. That is the centralised estimate,
+for any z at the start.
 """
 
 from __future__ import annotations
@@ -19,21 +19,22 @@ from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.area_model import AreaModel
 from dsse_core.linear.boundary_information import EXACT_SIGMA, BoundaryInformation
 
-RELAXATION = 0.8  # 1/2: plain ADMM; 1: swings for ever where several children share a bus
+RELAXATION = 0.8  # 1/2 is plain ADMM; with 1 the iteration swings for ever where several children share a bus
 VOLTMETER_SIGMA = 0.002  # p.u.; taken where an area has no voltmeter
 POWER_METER_SIGMA = 0.01  # p.u.; taken where an area has no power meter
 DAMPING = 0.3  # tau, p.u. and rad
 LARGEST_STEP = 0.1  # p.u. and rad, of any voltage
-SPREAD = 3.0  # a boundary's standard deviations are taken to lie within this factor of the area's meters'
+SPREAD = 3.0  # bound on the ratio of a boundary's standard deviations to those of the area's meters
 
 _POWER = (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW, MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
 
 
 def compute_weight(model: AreaModel, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
-    """The area's own information about each of the variables y, shape (d,): in units of it a penalty of 1 is sensible.
+    """The area's own information about each of the variables y, shape (d,), in units of which a penalty of 1 is good.
 
-    The diagonal of ``L = R'R`` of its own meters alone, kept within reason: exact zero injections can make
-    L infinite, and an area without voltmeter knows nothing of vm, but stiff penalties on both sides never move.
+    The weight is the diagonal of ``L = R'R`` of the area's own meters alone, limited on both sides. Exact zero
+    injections can make L infinite, and stiff penalties on both sides never move. An area without voltmeter knows
+    nothing of vm.
     """
     R = model.linear.information(x, neighbour, {}).R
     power = _median_sigma(model, _POWER, POWER_METER_SIGMA)
@@ -46,9 +47,10 @@ def compute_weight(model: AreaModel, x: np.ndarray, neighbour: Neighbour) -> np.
 
 
 def solve_damped_step(model: AreaModel, x: np.ndarray, received: Mapping[str, BoundaryInformation]) -> np.ndarray:
-    """The step dx, shape (size,), ``(G + 1 / tau^2) dx = b``, of which no voltage moves by more than LARGEST_STEP.
+    """The step dx, shape (size,), of ``(G + 1 / tau^2) dx = b``, shortened to LARGEST_STEP at any voltage.
 
-    Messages do not state what neighbours know, and undamped steps diverge: transit power is seen through losses only.
+    Messages do not state the information of neighbours, so that transit power shows in losses only; undamped steps
+    diverge.
     """
     dx = model.linear.step(x, received, DAMPING**-2.0)
     largest = float(abs(dx[: 2 * len(model.area.network.buses)]).max())
@@ -62,6 +64,6 @@ def pull(M: np.ndarray, z: np.ndarray) -> BoundaryInformation:
 
 
 def _median_sigma(model: AreaModel, kinds: Collection[MeasurementKind], default: float) -> float:
-    """Of the area's meters of ``kinds``; virtual measurements are none."""
+    """Median sigma of the area's real meters of ``kinds``; ``default`` without such a meter."""
     chosen = model.sigma[np.isin(model.kinds, list(kinds)) & (model.sigma > EXACT_SIGMA)]
     return float(np.median(chosen)) if chosen.size else default

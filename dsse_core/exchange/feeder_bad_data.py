@@ -1,7 +1,7 @@
-"""Bad data of the whole feeder from what each area knows: the centralised test, added up along the tree of areas.
+"""Bad data of the whole feeder: the areas' parts of the centralised test, which are added up along the tree of areas.
 
-At the end of the exact exchange J, degrees of freedom and normalised residuals of the areas are those of the
-centralised estimate, so that a sum and a maximum along the tree make the same decisions (``decision``).
+At the end of the exact exchange the areas' J and degrees of freedom add up to those of the centralised estimate, and
+their normalised residuals are the same. So a sum and a maximum along the tree lead to the same verdicts (``decision``).
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from dsse_core.linear import NoLoadSolver, make_no_load
 from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BoundaryInformation
 
-# Below it an indispensable meter. Rounding and NO_LOAD_NOT_YET leave one 1e-15; a meter that another one replaces only
-# through an impedance of 3e-7 p.u. has 3e-10, a voltmeter that only the sum of 5,000 injections in a row checks 2e-11.
+# Redundancy below which a meter is indispensable. Rounding and NO_LOAD_NOT_YET leave such a meter 1e-15. A meter that
+# another one replaces only through an impedance of 3e-7 p.u. has 3e-10, a voltmeter that only the sum of 5,000
+# injections in a row checks 2e-11.
 NO_LOAD_REDUNDANCY = 1e-12
-# Below it what a neighbour receives of a power, in units of the own ones, or of a voltage is NO_LOAD_NOT_YET alone,
-# 1e-9; to a neighbour whose impedances are a thousand times smaller it would look like something.
+# Entry of R for a power, in units of the own powers, or for a voltage, below which a message holds nothing:
+# NO_LOAD_NOT_YET alone gives 1e-9. A neighbour with a thousand times smaller impedances would take it for information.
 NOTHING_AT_NO_LOAD = 1e-8
-# Above it the variance of a voltage at no load, where all sigmas are 1, says that nothing determines it: what is known
-# through the smallest impedances in a row has less, NO_LOAD_NOT_YET alone 1e18.
+# Variance of a voltage at no load, where all sigmas are 1, above which nothing determines it. A voltage that is known
+# through the smallest impedances in a row has less, NO_LOAD_NOT_YET alone gives 1e18.
 NOTHING_KNOWN = 1e12
 
 
@@ -43,11 +44,12 @@ def count_freedom(model: AreaModel) -> int:
 
 @dataclass(frozen=True)
 class NoLoadModel:
-    """The area's meters but currents, at no load, powers against its median admittance: which cannot be spared.
+    """The area's meters but currents, at no load, to find indispensable ones; sigma of powers: the median admittance.
 
-    ``find_indispensable`` of ``observability`` decides by the same rows for the whole grid. Areas send each other
-    its cost-to-go, one way up and one way down the tree, of (p, q) / vm_b^2, dvm / vm_b and dva: behind a transformer
-    each area has another no-load voltage, and of such relative numbers the rows are the same at all of them.
+    ``find_indispensable`` of ``observability`` decides by the same rows for the whole grid. Areas send each other the
+    cost-to-go of this model, once up and once down the tree. It is a function of the relative numbers (p, q) / vm_b^2,
+    dvm / vm_b and dva. Behind a transformer an area has another no-load voltage, but the rows of relative numbers are
+    the same in all areas.
     """
 
     model: AreaModel
@@ -72,8 +74,10 @@ class NoLoadModel:
         return BoundaryInformation(np.triu(turn @ information.R) * self._voltage_of(neighbour), turn @ information.z)
 
     def examine(self, received: Mapping[str, BoundaryInformation]) -> tuple[tuple[int, ...], frozenset[str]]:
-        """Ids of the buses whose voltage neither the area's meters nor what neighbours send determine, and of the
-        meters, virtual ones included, without any one of which the state is not observable.
+        """Ids of unobservable buses, and of indispensable meters, virtual ones included.
+
+        Neither the area's meters nor the information of neighbours determines the voltage of an unobservable bus.
+        Without any one of the indispensable meters the state is not observable.
         """
         rng = np.random.default_rng(0)
         beyond = self._at_own_voltage(received)
@@ -84,7 +88,7 @@ class NoLoadModel:
         return unobservable, frozenset(self.ids[k] for k in np.flatnonzero(redundancy < NO_LOAD_REDUNDANCY))
 
     def _at_own_voltage(self, received: Mapping[str, BoundaryInformation]) -> dict[str, BoundaryInformation]:
-        """What neighbours have sent of relative numbers as information about y."""
+        """The neighbours' information about relative numbers, as information about y."""
         return {
             n.area: replace(received[n.area], R=received[n.area].R / self._voltage_of(n))
             for n in self.model.area.neighbours
@@ -92,16 +96,17 @@ class NoLoadModel:
         }
 
     def _voltage_of(self, neighbour: Neighbour) -> np.ndarray:
-        """What relative numbers are multiplied by to be y, shape (d,)."""
+        """Factors from relative numbers to y, shape (d,)."""
         network, boundary = self.model.area.network, self.model.boundary_of(neighbour)
         vm = self.x[[len(network.buses) + network.row[variable.bus] for variable in boundary.variables]]
         return np.array([size ** int(degree) for size, degree in zip(vm.tolist(), boundary.degrees, strict=True)])
 
 
 def _keep_something(R: np.ndarray, n: int, typical: float) -> np.ndarray:
-    """What R, shape (d, d), holds of n powers given the voltages, then of the voltages, without what is nothing.
+    """The rows of R, shape (d, d), that hold information: of n powers given the voltages, then of the voltages.
 
-    Where the rows of powers hold none, they tell of voltages: reflections leave that where they find it.
+    Reflections can leave information about voltages in the rows of powers. Rows of powers that hold none of powers
+    count as rows of voltages.
     """
     U, size, _ = np.linalg.svd(R[:n, :n])
     of_powers, is_something = U.T @ R[:n], size * typical >= NOTHING_AT_NO_LOAD
@@ -115,7 +120,7 @@ def _keep_something(R: np.ndarray, n: int, typical: float) -> np.ndarray:
 
 
 def build_no_load_model(area: Area, measurements: Sequence[Measurement], reference: int | None) -> NoLoadModel:
-    """``reference``: bus of the grid's angle reference, if the area sees it."""
+    """The no-load model of ``area``; ``reference``: bus of the grid's angle reference, if the area sees it."""
     but_currents = [m for m in measurements if m.meter.kind is not MeasurementKind.CURRENT]
     model = build_area_model(area, but_currents, reference, with_shunts=False)
     start = area.slack_bus if reference is None else reference

@@ -1,20 +1,20 @@
 """Test of all power readings of one gateway together: as stated, or multiplied by one factor, such as a wrong sign.
 
-Readings of one gateway that are wrong alike contradict each other nowhere, so that residuals cannot show it: a sound
-meter at the boundary goes in their place. Here the readings z as a whole stand against hypotheses. Under H_f the
-gateway's powers must be multiplied by f to be what flows; f = 1 is as stated. Against them stand all that the area
-knows beside: its voltmeters and other gateways, the information of its neighbours, and what its loads do (``Load``).
-With M_f the least weighted sum of squares of all that under H_f, over the state of the area,
+Readings of one gateway that are wrong alike contradict each other nowhere. Residuals cannot show the mistake: bad-data
+removal would take out a sound meter at the boundary instead. This test compares hypotheses about the readings z as a
+whole. Under H_f the true powers are f times the gateway's readings; f = 1 is as stated. The evidence is all other
+information of the area: its voltmeters and other gateways, the information of its neighbours, and the range of its
+loads (``Load``). With M_f the least weighted sum of squares of all that under H_f, over the state of the area,
 
     log p(z | H_f) = n log|f| - M_f / 2 + constant,
 
-n being the readings that are multiplied: the density of z is that of f z, times the Jacobian of the change of
-variables. Where standard deviations grow with f, it is divided by as much as they, joined with what is known of the
-load, have grown. Beside 1 stands "something else": all standard deviations are wrong by one factor, the likeliest
-one. Then N residuals have log p = -N/2 (1 + log(M_1 / N)). So a mistake is only found where it fits.
+with n the number of readings that are multiplied: the density of z is that of f z, times the Jacobian of the change of
+variables. Where standard deviations grow with f, the density is divided by the growth of these standard deviations,
+joined with those of the loads. Beside f = 1 stands "something else": all standard deviations are wrong by one factor,
+the likeliest one. Then N residuals have log p = -N/2 (1 + log(M_1 / N)). So a mistake is only found where it fits.
 
 The information of neighbours may rest on a wrong gateway of theirs: two sides of opposite sign contradict each other,
-and a change of either one mends it. So the smaller one of the evidence with and without their information counts.
+and a change of either side mends it. So the smaller of the evidence with and without their information counts.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from dsse_core.linear.boundary_information import BoundaryInformation
 KIND = MeasurementKind
 POWERS = (KIND.P_INJECTION, KIND.Q_INJECTION, KIND.P_FLOW, KIND.Q_FLOW)
 MISTAKES: Mapping[float, str] = {-1.0: "sign", 1e-3: "unit, 1000 times too large", 1e3: "unit, 1000 times too small"}
-"""By what readings would have to be multiplied -> what is wrong with them."""
-LOWEST_LOAD, HIGHEST_LOAD = 0.2, 1.5  # of its schedule, which a load takes
-FALSE_ALARMS = 1e-4  # scans, at most, in which readings that are as stated are taken for a mistake
+"""Factor by which readings would have to be multiplied -> name of the mistake."""
+LOWEST_LOAD, HIGHEST_LOAD = 0.2, 1.5  # range of a load, in parts of its schedule
+FALSE_ALARMS = 1e-4  # largest share of scans in which correct readings are taken for a mistake
 THRESHOLD = math.log(len(MISTAKES) / FALSE_ALARMS)  # of the sum of log-likelihood ratios, see ``add_up``
 
 Received = Mapping[str, BoundaryInformation]
@@ -55,19 +55,20 @@ def add_up(so_far: float, of_scan: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """Mean and standard deviation of an injection as far as the schedule knows it, p.u."""
+    """Mean and standard deviation of an injection according to the schedule, p.u."""
 
     mean: float
     sigma: float
 
 
 def expect_loads(area: Area) -> dict[tuple[MeasurementKind, int], Load]:
-    """(kind, bus) -> what is injected there, of the buses that the area owns and that have a schedule.
+    """(kind, bus) -> expected injection, for the buses that the area owns and that have a schedule.
 
-    A load takes Q between ``LOWEST_LOAD`` and ``HIGHEST_LOAD`` of its schedule, of which mean and standard deviation of
-    an even distribution are taken; the apparent power is its size, as the power factor is no constant. Its P lies
-    between minus and plus ``HIGHEST_LOAD``: photovoltaics that no schedule has turn it. So do P and Q of a generator.
-    What holds the voltage feeds whatever is wanted.
+    The Q of a load lies between ``LOWEST_LOAD`` and ``HIGHEST_LOAD`` of its schedule, evenly distributed. The standard
+    deviation is in parts of the apparent power, as the power factor is not constant. The P of a load lies between minus
+    and plus ``HIGHEST_LOAD`` of the apparent power, as photovoltaics outside the schedule may turn it. At a bus with a
+    generator P and Q both lie in that range, of the apparent power of load and generation. A bus whose generator holds
+    the voltage has no expected injection.
     """
     network = area.network
     spread, spread_of_either_sign = (HIGHEST_LOAD - LOWEST_LOAD) / math.sqrt(12), HIGHEST_LOAD / math.sqrt(3)
@@ -89,10 +90,10 @@ def expect_loads(area: Area) -> dict[tuple[MeasurementKind, int], Load]:
 
 @dataclass(frozen=True)
 class _Hypothesis:
-    """Readings under a hypothesis, each joined with what is known of its load; p.u. and rad, (n_meas,).
+    """Readings under a hypothesis, each joined with the expected injection of its load; p.u. and rad, (n_meas,).
 
-    ``beside``: the part of M that does not depend on the state. ``spread``: log of the product of the variances that
-    belong to it, which the density is divided by the root of.
+    ``beside``: the part of M that does not depend on the state. ``spread``: log of the product of its variances; the
+    density is divided by the root of this product.
     """
 
     z: np.ndarray
@@ -102,7 +103,7 @@ class _Hypothesis:
 
 
 class GatewayTest:
-    """The test in ``area``."""
+    """The test of gateways in ``area``."""
 
     def __init__(self, area: Area) -> None:
         self._area = area
@@ -113,13 +114,14 @@ class GatewayTest:
     def weigh(
         self, readings: Sequence[Measurement], of_gateway: Collection[str], x: np.ndarray | None, received: Received
     ) -> dict[float, float]:
-        """Factor -> log of the likelihood ratio of its mistake to the likelier of as stated and something else.
+        """Factor -> log of the likelihood ratio of its mistake to "as stated" or "something else", the likelier one.
 
-        Minus infinity where a bound already shows that it is below 0; empty without power readings.
+        Minus infinity where a bound shows that the ratio is below 0; empty without power readings of the gateway.
 
         Args:
-            readings: of the area, virtual ones included. of_gateway: ids of the gateway's meters.
-            x: state of the area, see ``AreaModel``, where ``received`` is known; None: neither is.
+            readings: of the area, virtual ones included.
+            of_gateway: ids of the gateway's meters.
+            x: state of the area, see ``AreaModel``, to which ``received`` belongs; None without both.
         """
         rows = self._rows_of(readings)
         z, sigma = rows.put(readings)
@@ -158,7 +160,7 @@ class GatewayTest:
         return found
 
     def _rows_of(self, readings: Sequence[Measurement]) -> _Rows:
-        """Kept as long as the same meters are read."""
+        """Rows of the meters read, but currents and dead voltmeters; kept as long as these meters stay the same."""
         used = [m.meter for m in readings if m.meter.kind is not KIND.CURRENT]
         dead = {used[k] for k in find_dead(used, [m.value for m in readings if m.meter.kind is not KIND.CURRENT])}
         read = tuple(meter for meter in used if meter not in dead)
@@ -172,7 +174,7 @@ class GatewayTest:
 
 
 class _Rows:
-    """The meters ``read``, then injections that only their schedules tell, as rows of a model of ``area``."""
+    """Rows of a model of ``area``: the meters ``read``, then injections that only their schedules state."""
 
     def __init__(
         self, area: Area, reference: int | None, read: tuple[Meter, ...], loads: Mapping[tuple[KIND, int], Load]
@@ -206,7 +208,7 @@ class _Rows:
         return z, np.where(self.is_virtual, 1.0, sigma)
 
     def join(self, z: np.ndarray, sigma: np.ndarray) -> _Hypothesis:
-        """A reading of an injection and what is known of its load are one of their joint weight."""
+        """Hypothesis of the readings; the reading of an injection and its expected load join to one of their joint weight."""
         k, z, sigma = self._joined, z.copy(), sigma.copy()
         of_reading, of_load = sigma[k] ** -2, self._sigma**-2
         variance = sigma[k] ** 2 + self._sigma**2
@@ -216,11 +218,11 @@ class _Rows:
         return _Hypothesis(z, sigma, beside, spread)
 
     def count(self, multiplied: np.ndarray, factor: float, n_known: int) -> int:
-        """Of how many readings the Jacobian counts.
+        """Number of readings that count in the Jacobian.
 
-        Where standard deviations may grow with the readings, redundant ones tell nothing of the factor. Without
-        redundancy are at least the injections, or the flows of one kind through different branches. Nor do more of
-        them tell of it than the ``n_known`` powers whose size schedules and neighbours tell.
+        Where standard deviations may grow with the readings, redundant readings tell nothing of the factor. At least
+        the injections, or the flows of one kind through different branches, are without redundancy. No more readings
+        count than the ``n_known`` powers whose size schedules and neighbours state.
         """
         if abs(factor) <= 1:
             return int(multiplied.sum())
@@ -230,7 +232,7 @@ class _Rows:
         return min(n_known, max(int((multiplied & self._is_injection).sum()), len(at_branches)))
 
     def find_misfit(self, hypothesis: _Hypothesis, x: np.ndarray, received: Received) -> float:
-        """M at ``x``; virtual measurements hold exactly, and do not count."""
+        """M at ``x``; virtual measurements hold exactly and do not count."""
         model = self._model
         residual = model.model.subtract(hypothesis.z, model.predict(x))
         weighted = np.where(self.is_virtual, 0.0, residual / hypothesis.sigma)
@@ -239,7 +241,7 @@ class _Rows:
 
     def solve(self, hypothesis: _Hypothesis, x: np.ndarray, received: Received) -> float:
         """M: the least sum of squares; infinity where no state is found."""
-        assert self._model.linear  # of which the next one keeps what rests on the meters
+        assert self._model.linear  # built here, so that the next model keeps the part that depends on meters only
         model = self._model.with_readings(self._list(hypothesis))
         try:
             for _ in range(MOST_STEPS):
@@ -259,6 +261,6 @@ class _Rows:
 
 
 def _multiply(z: np.ndarray, sigma: np.ndarray, multiplied: np.ndarray, factor: float) -> tuple[np.ndarray, np.ndarray]:
-    """Readings and standard deviations; one that is stated as a share of what is read grows with that."""
+    """Readings and sigmas, (n_meas,), under ``factor``; above 1, it also multiplies sigmas below the reading's size."""
     grows = multiplied & (sigma < abs(z)) & (abs(factor) > 1)
     return np.where(multiplied, factor * z, z), np.where(grows, abs(factor) * sigma, sigma)
