@@ -405,7 +405,7 @@ class AreaEstimation:
         )
 
     def _variances(self) -> tuple[np.ndarray, np.ndarray]:
-        """Variances at ``linearized_at``: of all state variables, shape (size,), and of the residuals, shape (n_meas,)."""
+        """Variances at ``linearized_at``: of all state variables, (size,), and of the residuals, (n_meas,)."""
         return self.model.linear.variances(self.linearized_at, self._received)
 
     @property

@@ -208,7 +208,7 @@ class _Rows:
         return z, np.where(self.is_virtual, 1.0, sigma)
 
     def join(self, z: np.ndarray, sigma: np.ndarray) -> _Hypothesis:
-        """Hypothesis of the readings; the reading of an injection and its expected load join to one of their joint weight."""
+        """Hypothesis of the readings; that of an injection and its expected load become one of their joint weight."""
         k, z, sigma = self._joined, z.copy(), sigma.copy()
         of_reading, of_load = sigma[k] ** -2, self._sigma**-2
         variance = sigma[k] ** 2 + self._sigma**2
@@ -220,9 +220,9 @@ class _Rows:
     def count(self, multiplied: np.ndarray, factor: float, n_known: int) -> int:
         """Number of readings that count in the Jacobian.
 
-        Where standard deviations may grow with the readings, redundant readings tell nothing of the factor. At least
-        the injections, or the flows of one kind through different branches, are without redundancy. No more readings
-        count than the ``n_known`` powers whose size schedules and neighbours state.
+        Where standard deviations may grow with the readings, redundant readings tell nothing of the factor. Without
+        redundancy are at least the injections, or the flows, of which those of one kind at one branch count once. No
+        more readings count than the ``n_known`` powers whose size schedules and neighbours state.
         """
         if abs(factor) <= 1:
             return int(multiplied.sum())

@@ -1,4 +1,4 @@
-"""What one area measures, and what its variables are: all that back ends need to know of it."""
+"""Measurements and variables of one area: the input of its back ends."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class AreaMeasurements:
 
     @cached_property
     def virtual(self) -> np.ndarray:
-        """Which measurements are virtual, shape (n_meas,)."""
+        """True for virtual measurements, shape (n_meas,)."""
         return np.array([meter.source is Source.VIRTUAL for meter in self.meters], dtype=bool)
 
     @cached_property
@@ -52,12 +52,12 @@ class AreaMeasurements:
 
     @cached_property
     def ids(self) -> tuple[str, ...]:
-        """Of the meters."""
+        """Ids of the meters."""
         return tuple(meter.id for meter in self.meters)
 
     @cached_property
     def real_ids(self) -> frozenset[str]:
-        """Of the meters that are not virtual."""
+        """Ids of the meters that are not virtual."""
         return frozenset(meter.id for meter in self.meters if meter.source is not Source.VIRTUAL)
 
     @property
@@ -66,7 +66,7 @@ class AreaMeasurements:
 
     @property
     def couples_many(self) -> bool:
-        """Whether a further row reads many buses."""
+        """True where one of the further rows reads many buses."""
         return any(rows.couples_many for rows in self.further)
 
     @property
@@ -103,7 +103,7 @@ class AreaMeasurements:
         return self.model.subtract(self.z, h)
 
     def contribution(self, h: np.ndarray) -> Contribution:
-        """What the measurements contribute where h(x) is ``h``, (n_meas,)."""
+        """Contribution of the measurements where h(x) is ``h``, (n_meas,)."""
         return self.method(self.residual_of(h), self.sigma)
 
     def boundary_of(self, neighbour: Neighbour) -> Boundary:
@@ -115,17 +115,17 @@ class AreaMeasurements:
         return np.where(self.virtual, 0.0, of_measurements)
 
     def voltage_columns(self, neighbour: Neighbour) -> list[int]:
-        """Where x has the voltages of y, (vm, va) each."""
+        """Positions in x of the voltages of y, (vm, va) each."""
         boundary = self.boundary_of(neighbour)
         return [self._column[variable] for variable in boundary.variables[boundary.n_powers :]]
 
     def boundary_columns(self, neighbour: Neighbour) -> list[int]:
-        """Where x has y of the boundary to a child; to the parent its voltages alone, as the powers are none of x."""
+        """Positions in x of y at the boundary to a child; to the parent of its voltages only, as x lacks its powers."""
         return [self._column[v] for v in self.boundary_of(neighbour).variables if v in self._column]
 
     @cached_property
     def _column(self) -> dict[Variable, int]:
-        """Where x has variables of boundaries."""
+        """Variable of a boundary -> its position in x, for all that x has."""
         row, n = self.area.network.row, self._n
         first = {Kind.VA: 0, Kind.VM: n}
         shared = (variable for boundary in self.area.boundaries.values() for variable in boundary.variables)

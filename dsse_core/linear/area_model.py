@@ -27,16 +27,16 @@ class AreaModel(AreaMeasurements):
 
     @cached_property
     def rows(self) -> Rows:
-        """h, H and those of the boundaries."""
+        """h and H of the meters, y and dy/dx of the boundaries."""
         return make_rows(self)
 
     @cached_property
     def linear(self) -> LinearArea:
-        """What computes steps, variances and information of boundaries."""
+        """Back end that computes steps, variances and information of boundaries."""
         return make_linear(self, self.rows)
 
     def with_readings(self, measurements: Sequence[Measurement], further: tuple[FurtherRows, ...] = ()) -> AreaModel:
-        """The same meters, read anew, beside ``further`` rows: what rests on topology and meters is kept."""
+        """Model of new readings of the same meters, with ``further`` rows; keeps the parts that rest on meters only."""
         other = copy.copy(self)  # with all that is cached
         sigma = _sigmas_of(measurements)
         sigma = self.sigma if (sigma == self.sigma).all() else sigma
@@ -48,8 +48,9 @@ class AreaModel(AreaMeasurements):
         return other
 
     def end(self) -> None:
-        """Let go of what computes, and knows this model in turn: else both would wait for the collector of cycles,
-        which looks rarely, and every scan leaves a model.
+        """Drops the back end and the rows, which refer to this model in turn.
+
+        Otherwise the model of every scan stays in memory until Python's collector of cycles runs, which is rare.
         """
         for known in ("linear", "rows"):
             self.__dict__.pop(known, None)
@@ -83,11 +84,11 @@ def build_area_model(
     with_shunts: bool = True,
     backend: Backend = "auto",
 ) -> AreaModel:
-    """The model of ``area``'s own ``measurements``.
+    """Model of ``area``'s own ``measurements``.
 
     Args:
         reference: bus of the grid's angle reference, if the area sees it.
-        with_shunts: whether shunts and line charging are there; without them no power flows at the flat start.
+        with_shunts: the model has shunts and line charging; without them no power flows at the flat start.
     """
     network = area.network
     admittance = build_admittance(network, with_shunts=with_shunts)

@@ -1,4 +1,4 @@
-"""What one side of a boundary sends the other, and how it is put together from what is known of voltage and power."""
+"""Message from one side of a boundary to the other, and its assembly from information about voltage and power."""
 
 from __future__ import annotations
 
@@ -9,22 +9,24 @@ from functools import cached_property
 
 import numpy as np
 
-EXACT_SIGMA = 1e-9  # p.u.; of exact injections: with the boundary's voltage given, there may be more than variables
-TIED_SIGMA = 1e-13  # p.u.; of powers that follow from the state, and the least of any: exact injections add up
-ROUNDING = 1e-14  # relative; what is left of a difference of equal numbers
-NOTHING_OF_VOLTAGE = 1e-10  # information about it, below which it is rounding
-BEYOND_REASON = 1e18  # numbers of a message
+EXACT_SIGMA = 1e-9  # p.u.; of exact injections, which may outnumber the variables once the boundary's voltage is given
+TIED_SIGMA = 1e-13  # p.u.; of powers that follow from the state, and the least of all, as exact injections add up
+ROUNDING = 1e-14  # relative size of a difference of equal numbers
+NOTHING_OF_VOLTAGE = 1e-10  # information about a voltage, below which it is rounding
+BEYOND_REASON = 1e18  # largest size of the numbers of a message
 VM, VA = 2, 3  # places of magnitude and angle in y
 
 
 def are_within_reason(numbers: Sequence[float]) -> bool:
-    """Whether the ``numbers`` of a message, one at least, are BEYOND_REASON at most in size; nan is not."""
+    """True where no number of a message is above BEYOND_REASON in size or nan; ``numbers`` has one at least."""
     return math.isfinite(sum(numbers)) and min(numbers) >= -BEYOND_REASON and max(numbers) <= BEYOND_REASON
 
 
 @dataclass(frozen=True)
 class BoundaryInformation:
-    """Cost-to-go ``1/2 |R y - z|^2`` of one side of a boundary: ``R`` (4, 4) upper triangular, ``z`` (4,).
+    """Cost-to-go ``1/2 |R y - z|^2`` of one side of a boundary: ``R`` (d, d) upper triangular, ``z`` (d,).
+
+    The boundary has d variables y, 4 where the areas meet at one bus.
 
     A row of zeros holds no information. ``L = R'R`` is its information matrix.
     """
@@ -39,7 +41,7 @@ class BoundaryInformation:
         return self.R[is_known], self.z[is_known]
 
     def with_row(self, row: np.ndarray, z: float) -> BoundaryInformation:
-        """With what one more ``row`` (4,) of variance 1 says of y."""
+        """Information with one more ``row`` (4,) about y, of variance 1 and right-hand side ``z``; d must be 4."""
         rows = np.vstack([np.column_stack([self.R, self.z]), [*row, z]])
         heavy_first = rows[np.argsort(-abs(rows[:, :-1]).max(axis=1), kind="stable")]
         turned = np.asarray(np.linalg.qr(heavy_first, mode="r"))
@@ -49,7 +51,7 @@ class BoundaryInformation:
 def put_together(
     y: np.ndarray, power: np.ndarray, response: np.ndarray, shift: np.ndarray, voltage: tuple[np.ndarray, np.ndarray]
 ) -> BoundaryInformation:
-    """The message of ``|power dpq + response dv - shift|^2`` and ``voltage`` = (N, n), ``|N dv - n|^2``, around ``y``.
+    """Message of ``|power dpq + response dv - shift|^2`` and ``voltage`` = (N, n), ``|N dv - n|^2``, around ``y`` (4,).
 
     dpq and dv, (2,) each, are the changes of (p, q) and (vm, va); ``power`` and ``response`` (2, 2).
     """
@@ -64,7 +66,7 @@ def put_together(
 
 
 def factor_information(M: np.ndarray, g: np.ndarray, nothing: float) -> tuple[np.ndarray, np.ndarray]:
-    """N upper triangular and n with ``N'N = M``, ``N'n = g``; what of the (2, 2) information M is ``nothing`` is 0."""
+    """N upper triangular and n with ``N'N = M``, ``N'n = g``; information in M, (2, 2), up to ``nothing`` becomes 0."""
     m00, m01, m11 = float(M[0, 0]), float(M[0, 1]), float(M[1, 1])
     n00 = n01 = n11 = n0 = n1 = 0.0
     if m00 > nothing:
@@ -81,8 +83,9 @@ def factor_information(M: np.ndarray, g: np.ndarray, nothing: float) -> tuple[np
 def factor_inverse(S: np.ndarray) -> np.ndarray:
     """P with ``P'P = S^-1`` for the (2, 2) covariance S.
 
-    What is less certain comes first, then the other given it: p may be as good as unknown and still determine q, by the
-    losses that it causes. A variance below zero is rounding of a number too large to be known: a row of 0.
+    The less certain of p and q comes first, then the other one given the first: p may be as good as unknown and still
+    determine q, by the losses that it causes. A variance below zero is rounding of a number too large to be known, and
+    gives a row of 0.
     """
     least = TIED_SIGMA**2
     s00, s01, s11 = float(S[0, 0]), float(S[0, 1]), float(S[1, 1])

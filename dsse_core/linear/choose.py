@@ -1,4 +1,4 @@
-"""Which back end an area's numerics have: the one place that knows of all."""
+"""Choice of the back end of an area's numerics; no other module knows all back ends."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from dsse_core.linear.reduced import ReducedSolver
 from dsse_core.linear.rows import TableauSolver
 from dsse_core.linear.sparse import SparseRows
 
-RADIAL_FROM = 60  # buses of an area, from which radial repays the loading of numba
-DENSE_BELOW = 40  # buses of an area, below which dense matrices cost less than sparse ones
+RADIAL_FROM = 60  # buses of an area from which on radial repays the loading of numba
+DENSE_BELOW = 40  # buses of an area below which dense matrices cost less than sparse ones
 
 
 def choose_backend(area: Area, backend: Backend = "auto") -> Literal["radial", "sparse", "dense"]:
-    """What computes if ``backend`` is asked for; radial, for which numba is loaded, where it can serve.
+    """Back end that computes if ``backend`` is asked for; radial, which loads numba, only where it can serve.
 
-    What areas that meet at several buses know of these is found by reflections alone.
+    An area with a boundary at several buses always has dense: only reflections find the information of such a boundary.
     """
     n_bus = len(area.network.buses)
     if not all(boundary.is_single for boundary in area.boundaries.values()):
@@ -32,7 +32,7 @@ def choose_backend(area: Area, backend: Backend = "auto") -> Literal["radial", "
 
 
 def needs_compiled_code(area: Area) -> bool:
-    """Whether an agent of ``area`` goes faster where the compiled solvers are loaded before."""
+    """True where an agent of ``area`` gains from loading the compiled solvers beforehand."""
     return choose_backend(area) == "radial"
 
 
@@ -42,9 +42,9 @@ def make_rows(model: AreaMeasurements) -> Rows:
 
 
 def make_linear(model: AreaMeasurements, rows: Rows) -> LinearArea:
-    """The numerics of ``model`` with its ``rows``: compiled where its area and meters allow, else by rows.
+    """Numerics of ``model`` with its ``rows``, by the back end of ``choose_backend``.
 
-    Where further rows couple many buses, by dense ones.
+    Further rows that couple many buses need dense rows and reflections.
     """
     if model.couples_many:
         return ReducedSolver(model, rows, "dense, as further rows couple many buses")
@@ -56,5 +56,5 @@ def make_linear(model: AreaMeasurements, rows: Rows) -> LinearArea:
 
 
 def make_no_load(model: AreaMeasurements) -> NoLoadSolver:
-    """The numerics of a model without load, of areas of any size."""
+    """Numerics of a model without load, for areas of any size."""
     return NoLoadSolver(model, SparseRows(model), "no load")

@@ -1,4 +1,4 @@
-"""Contributions of measurements and further rows to an area at a state x_k: the one place that all back ends ask."""
+"""Contributions of measurements and further rows to an area at a state x_k, the same for all back ends."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import scipy.sparse as sp
 
-PRIOR_SIGMA = 0.3  # p.u. and rad: a voltage lies that near to what it was, whatever happens
+PRIOR_SIGMA = 0.3  # p.u. and rad: standard deviation of a voltage from its last value, whatever happens
 
 
 class Contribution(NamedTuple):
-    """Of each measurement, (n_meas,): the step minimises ``sum weight (residual + shift - H dx)^2``."""
+    """Contribution of each measurement, (n_meas,): the step minimises ``sum weight (residual + shift - H dx)^2``."""
 
     residual: np.ndarray
     weight: np.ndarray
@@ -33,8 +33,8 @@ def least_squares(residual: np.ndarray, sigma: np.ndarray) -> Contribution:
 class RowsAt(NamedTuple):
     """Rows at a state: ``H`` (k, size), ``residual`` (k,), ``sigma`` (k,).
 
-    ``response`` (k, 2): of what they read where all voltages of the area grow by a share, and where all turn, the
-    reference included.
+    ``response`` (k, 2): derivatives of the rows' readings where all voltages of the area grow by a share, and where all
+    angles turn, the reference included.
     """
 
     H: sp.csr_array
@@ -46,8 +46,8 @@ class RowsAt(NamedTuple):
 class FurtherRows(ABC):
     """Rows of an area beside those of its meters; they have no part in J, degrees of freedom or bad data.
 
-    ``couples_many``: one of them reads many buses, which the elimination on a tree cannot take, nor sparse matrices
-    without filling in: dense rows do.
+    ``couples_many``: a row reads many buses. Elimination on a tree cannot take such rows, and sparse matrices would
+    fill in; they need dense rows.
     """
 
     couples_many = False
@@ -59,7 +59,7 @@ class FurtherRows(ABC):
 
 @dataclass(frozen=True, eq=False)
 class VoltageReadings(FurtherRows):
-    """Every voltage counts as read: angles, then magnitudes, (2 n_bus,), such as the state before."""
+    """Readings ``z`` of every voltage: angles, then magnitudes, (2 n_bus,), such as the state before."""
 
     z: np.ndarray
     sigma: float = PRIOR_SIGMA

@@ -16,7 +16,8 @@ from dsse_core.linear.interface import Matrix, Received, Rows
 class DenseRows(Rows):
     """The rows of the meters, then those of each boundary's y, the parent's first.
 
-    The parent's begin with P and Q into the area's own branches; all others read one variable of x.
+    The parent's rows begin with P and Q into the area's own branches. All other rows of boundaries read one variable of
+    x each.
     """
 
     def __init__(self, area: AreaMeasurements) -> None:
@@ -73,14 +74,14 @@ class DenseRows(Rows):
         return cast("np.ndarray", C)
 
     def _move_to(self, x: np.ndarray) -> None:
-        """Have h and H of ``x``: steps, messages and variances ask for those of one state in turn."""
+        """Computes h and H at ``x``, once for each state: steps, messages and variances ask for them in turn."""
         if (at := x.tobytes()) == self._at:
             return
         n, m = self._n, self._n_meas
         if (voltages_at := x[: 2 * n].tobytes()) != self._voltages_at:
             self._move_voltages_to(x)
             self._voltages_at = voltages_at
-        h = np.concatenate([self._own, x[self._picked]])  # what was given away stays as it is
+        h = np.concatenate([self._own, x[self._picked]])  # a new array, as callers keep the former one
         h[:m] += self._into_children @ x[2 * n :]
         self._h, self._at = h, at
 

@@ -1,4 +1,4 @@
-"""The four questions that every back end of an area's numerics answers; which one it is nobody else asks."""
+"""Interface of an area's linear solver and of its rows. Callers never depend on the back end."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ NOT_YET_OF_POWER = 1e-11  # the same of powers, which may be large
 class LinearArea(ABC):
     """The linearised area at a state x, shape (size,), with the information ``received`` of its neighbours.
 
-    ``name``: of the back end. ``declined``: how often another one had to take a call, by reason.
+    ``name``: name of the back end. ``declined``: number of calls that another back end had to take, by reason.
     """
 
     name: str
     declined: Counter[str]
 
     def prepare(self, x: np.ndarray) -> None:  # noqa: B027  nothing, where all needs messages
-        """Do what needs no message at ``x`` while one is awaited."""
+        """Computes, while a message is awaited, the part at ``x`` that needs none."""
 
     @abstractmethod
     def step(self, x: np.ndarray, received: Received, damping: float = 0.0) -> np.ndarray:
@@ -38,7 +38,7 @@ class LinearArea(ABC):
 
     @abstractmethod
     def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
-        """What ``neighbour`` is to receive: everything but y eliminated, its own message left out."""
+        """Information for ``neighbour``: every variable but y eliminated, the neighbour's own message left out."""
 
     @abstractmethod
     def variances(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, np.ndarray]:
@@ -48,15 +48,15 @@ class LinearArea(ABC):
 
     @abstractmethod
     def covariance(self, x: np.ndarray, received: Received, B: np.ndarray) -> np.ndarray:
-        """``B G^-1 B'``, (k, k), of the linear functions of the state that the rows of ``B``, (k, size), are."""
+        """``B G^-1 B'``, (k, k): covariance of k linear functions of the state, the rows of ``B``, (k, size)."""
 
     @abstractmethod
     def with_readings(self, model: AreaMeasurements) -> Self:
-        """The same meters read anew, as ``model`` has them: what rests on topology and meters is kept."""
+        """Solver for ``model``, which has new readings of the same meters; keeps the parts that rest on meters only."""
 
 
 class Rows(ABC):
-    """h(x) and H(x) of an area's meters and boundaries, and what else is done with matrices of their kind."""
+    """h(x) and H(x) of an area's meters and boundaries, and operations on matrices of their kind."""
 
     @abstractmethod
     def predict(self, x: np.ndarray) -> np.ndarray:
@@ -76,7 +76,7 @@ class Rows(ABC):
 
     @abstractmethod
     def messages(self, x: np.ndarray, received: Received) -> tuple[list[Matrix], list[np.ndarray]]:
-        """Rows R T and residuals z - R y of what neighbours have sent, each of variance 1, in the area's order."""
+        """Rows R T and residuals z - R y of the messages ``received``, of variance 1, in the order of neighbours."""
 
     @abstractmethod
     def take(self, H: sp.csr_array) -> Matrix:
@@ -88,4 +88,4 @@ class Rows(ABC):
 
     @abstractmethod
     def full(self, C: Matrix) -> np.ndarray:
-        """A matrix in an array."""
+        """``C`` as a dense array."""

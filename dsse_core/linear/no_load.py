@@ -1,4 +1,4 @@
-"""The numbers of an area at no load, where weights say nothing of how well powers and voltages are known."""
+"""Numerics of an area at no load, where weights say nothing about the accuracy of powers and voltages."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from dsse_core.linear.rows import TableauSolver
 from dsse_core.linear.sparse import SparseRows
 from dsse_core.matrices.augmented import AugmentedFactor
 
-NO_LOAD_NOT_YET = 1e-18  # information given to what nothing determines, relative to what rows give where less than 1
-DRAWS = 32  # of which the mean square is a fifth of its expectation with a probability of 1e-7
-# A block of them; of states one is enough: a hundredth, or six times, with 1e-7, and between what is known and what is
-# not lie six powers of ten.
+NO_LOAD_NOT_YET = 1e-18  # damping of undetermined variables, relative to the information of rows where less than 1
+DRAWS = 32  # the mean square of so many is below a fifth of its expectation with a probability of 1e-7
+# Size of a block of draws. One block is enough for variances of states: with a probability of 1e-7 their mean square is
+# below a hundredth of its expectation, or above six times that. Known and unknown states are six powers of ten apart.
 DRAWS_AT_ONCE = 8
-NOTHING = 1e-30  # for variables that no row speaks of
+NOTHING = 1e-30  # damping of variables without an entry in any row
 
 
 class NoLoadSolver(TableauSolver):
-    """Undetermined variables are damped next to nothing, so that they stand out.
+    """Solver that damps undetermined variables next to nothing, so that they stand out.
 
-    On sparse matrices, where 0 stays 0: in a dense factor rounding fills in more than the damping at a busbar of
-    1e-6 p.u., and so it does where large pivots are taken from the leaves of a tree to its root.
+    The solver works on sparse matrices, where 0 stays 0. In a dense factor rounding fills in more than the damping at a
+    busbar of 1e-6 p.u., as it does where large pivots are taken from the leaves of a tree to its root.
     """
 
     nothing_of_voltage = 0.0
@@ -37,7 +37,7 @@ class NoLoadSolver(TableauSolver):
         self._by_reflections: NoLoadReflections | None = None
 
     def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
-        """See ``LinearArea``; of a boundary at several buses by reflections, powers given the voltages first."""
+        """See ``LinearArea``; for a boundary at several buses found by reflections, powers given the voltages first."""
         if self.model.boundary_of(neighbour).is_single:
             return super().information(x, neighbour, received)
         if self._by_reflections is None:
@@ -49,10 +49,10 @@ class NoLoadSolver(TableauSolver):
         return self.rows.factor(H, sigma, damping)
 
     def _damp(self, H: Matrix, sigma: np.ndarray, columns: np.ndarray) -> tuple[Matrix, np.ndarray]:
-        """Some columns of H, and their damping.
+        """The ``columns`` of H without rounding, and their damping.
 
-        An angle meter must not seem to measure a magnitude: undetermined variables would be damped by 1e22 times less
-        than others, and beside such an uncertainty whatever else is known of (p, q) drowns.
+        Rounding would make an angle meter seem to measure a magnitude. Undetermined variables would then be damped by
+        1e22 times less than others, and beside such an uncertainty all other information about (p, q) drowns.
         """
         H = self.rows.without_rounding(H[:, columns])
         weight = np.asarray((H * H).T @ sigma**-2.0)
@@ -62,15 +62,14 @@ class NoLoadSolver(TableauSolver):
         self, x: np.ndarray, received: Received, rng: np.random.Generator, enough: float = np.inf
     ) -> tuple[np.ndarray, np.ndarray]:
         """diag(G^-1), shape (size,), to a power of ten, and diag(Omega) / sigma^2 of the area's own measurements,
-        shape (n_meas,), to a factor of two or so, from what random readings lead to: on one factor, and without its
-        inverse.
+        shape (n_meas,), to a factor of two or so. Both follow from random readings on one factor, without its inverse.
 
         With S = Omega / (sigma sigma') a projection, readings of variance 1 leave residuals of variance S_ii, here the
         mean square of DRAWS of them, and 0 to the square of round-off. With random readings of the damping, too, the
         states that follow have the covariance G^-1.
 
-        ``enough``: where some draws leave every measurement at least that, as if all others left nothing, no more are
-        drawn; so the found ones below ``enough`` are the same.
+        ``enough``: drawing ends where the draws so far leave every measurement at least that, even if all others left
+        nothing. So the measurements below ``enough`` are the same as with all draws.
         """
         H, _, sigma = self.stack(x, received)
         free, model = self.model.free, self.model
@@ -94,16 +93,16 @@ class NoLoadReflections(ReducedSolver):
     """Information without load about the variables of a boundary at several buses."""
 
     def least_information(self, columns: np.ndarray) -> np.ndarray:
-        """As ``NoLoadSolver`` damps, of powers by as much as they weigh in a meter of theirs."""
+        """The damping of ``NoLoadSolver``; of powers times their weight in a power meter, 1 at most."""
         of_power = min(1.0, self._sigma_of_power**-2)
         of_voltage = columns < 2 * len(self.model.area.network.buses)
         return NO_LOAD_NOT_YET * np.where(of_voltage, 1.0, of_power)
 
     def tied_sigma(self, boundary: Boundary) -> float:
-        """As much less than that of meters of power as an exact one is less than 1."""
+        """Sigma of rows that tie powers to voltages: EXACT_SIGMA in units of the sigma of power meters."""
         return EXACT_SIGMA * self._sigma_of_power
 
     @property
     def _sigma_of_power(self) -> float:
-        """The one that all meters of power have without load."""
+        """Sigma that all power meters have without load, 1 at least."""
         return float(self.model.sigma.max(initial=1.0))

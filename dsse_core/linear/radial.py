@@ -1,7 +1,7 @@
 """Back end for radial areas: the numbers follow from one compiled elimination over the tree of buses.
 
-Where digits would be lost on the way, as where of (p, q) somewhere one combination is as good as unknown and the other
-is not, the rows take the call.
+The rows take the call where the elimination would lose digits. That happens where one combination of (p, q) is as good
+as unknown and the other is not.
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ from dsse_core.radial.plan import (
 if TYPE_CHECKING:
     from dsse_core.radial.kernel import Work
 
-ANGLE_HELD = 1e6  # weight of the reference's angle, rad^-2, while the digits of what is known beside it are kept
+ANGLE_HELD = 1e6  # weight of the reference's angle, rad^-2, small enough to keep the digits of other information
 LEAST_OF_FLOW = 1e-12  # information given to powers through branches that nothing determines yet
 LEAST_OF_POWER = 1e-11  # the same of powers into children
 # Determinant of a covariance of (p, q) over the product of its diagonal. Below it one combination of p and q is known
-# so much better than the other that in two numbers and their product it has drowned.
+# so much better than the other that its digits are lost in the entries of the covariance.
 LEAST_SPREAD = 1e-5
 
 
 def find_why_not_radial(network: Network) -> str:
-    """Why radial cannot serve ``network``; empty if it can."""
+    """The reason why radial cannot serve ``network``; empty if it can."""
     layout = lay_out_radial(network, int(network.table.bus_id[0]))
     return layout if isinstance(layout, str) else ""
 
 
 @dataclass
 class _Rooted:
-    """The area's tree from one bus, with the readings and weights of ``radial_kernel`` and memory for the passes."""
+    """The area's tree from one bus, with the readings and weights of ``radial.kernel`` and memory for the passes."""
 
     layout: RadialLayout
     admittance: np.ndarray
@@ -76,7 +76,7 @@ class _Rooted:
 
 
 class RadialSolver(LinearArea):
-    """The measurements of a radial ``model``; ``by_rows`` takes what is declined."""
+    """Back end for a radial ``model``; ``by_rows`` takes the calls that are declined."""
 
     name = "radial"
 
@@ -90,7 +90,7 @@ class RadialSolver(LinearArea):
         )
 
     def with_readings(self, model: AreaMeasurements) -> Self:
-        """Trees and the memory of the passes are shared."""
+        """See ``LinearArea``; the two solvers share trees and the memory of the passes."""
         other = copy.copy(self)
         other._model, other._by_rows = model, self._by_rows.with_readings(model)
         other._rooted = {at: other._read_into(rooted) for at, rooted in self._rooted.items()}
@@ -98,7 +98,7 @@ class RadialSolver(LinearArea):
 
     @cached_property
     def _top(self) -> int:
-        """The bus that steps are taken from: the reference, or that of the parent."""
+        """The root for steps: the reference, else the parent's boundary bus, else the first bus."""
         if self._reference is not None:
             return self._reference
         return self._area.parent.bus if self._area.parent else self._area.network.buses[0].id
@@ -112,7 +112,7 @@ class RadialSolver(LinearArea):
         return self._by_rows.variances(x, received) if found is None else found
 
     def covariance(self, x: np.ndarray, received: Received, B: np.ndarray) -> np.ndarray:
-        """By rows: the tree has covariances of one bus and the branch above it only."""
+        """See ``LinearArea``; found by rows, as the tree has covariances of one bus and the branch above it only."""
         return self._by_rows.covariance(x, received, B)
 
     def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
@@ -120,7 +120,7 @@ class RadialSolver(LinearArea):
         return self._by_rows.information(x, neighbour, received) if found is None else found
 
     def _find_step(self, x: np.ndarray, received: Received, damping: tuple[float, float]) -> np.ndarray | None:
-        """``damping``: of voltages and of powers."""
+        """The step, shape (size,), or None where it is declined; ``damping``: of voltages and of powers."""
         from dsse_core.radial.boundary import step_downward
 
         t = self._tree_from(self._top, x)
@@ -150,7 +150,7 @@ class RadialSolver(LinearArea):
     def _downward(
         self, compiled: Callable[..., Any], t: _Rooted, one: np.ndarray, other: np.ndarray, found: np.ndarray
     ) -> Any:
-        """What ``compiled`` returns and writes into ``found``, from the top down; ``one`` and ``other``: its memory."""
+        """Result of the pass ``compiled`` from root to leaves, which fills ``found``; memory: ``one``, ``other``."""
         return compiled(
             t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.v, t.va, t.message_of,
             t.work.above, t.work.factor, one, other, self._reference is not None, found,
@@ -195,7 +195,7 @@ class RadialSolver(LinearArea):
     def _angle_of_reference(
         self, t: _Rooted, P: np.ndarray, slope: np.ndarray, mean: np.ndarray, sign: float
     ) -> tuple[np.ndarray, float]:
-        """How the angle of the reference, which is given, follows from y: a row by dy, (4,), of variance 1, and its z.
+        """The given angle of the reference as a function of y: a row by dy, (4,), of variance 1, and its z.
 
         With y given at the root, ``lam = sign P'P (dpq - slope dv - mean)`` there, (lam, x) of the buses on the way to
         the reference follow by substitution, and their covariance from ``-P'P``, that of lam.
@@ -224,7 +224,7 @@ class RadialSolver(LinearArea):
         return angle[:4], -float(angle[4])
 
     def _row_of_reference(self, t: _Rooted) -> int:
-        """Its number in the tree of ``t``."""
+        """Number of the reference in the tree of ``t``."""
         assert self._reference is not None
         return int(t.layout.number[self._area.network.row[self._reference]])
 
@@ -263,7 +263,7 @@ class RadialSolver(LinearArea):
         self.declined[why] += 1
 
     def _tree_from(self, bus: int, x: np.ndarray) -> _Rooted:
-        """With what the meters contribute at ``x``; that of least squares is the same everywhere."""
+        """The tree from ``bus`` with the meters' contributions at ``x``; those of least squares depend on no x."""
         t = self._rooted.get(bus) or self._root_at(bus)
         if self._model.method is not least_squares:
             self._rooted[bus] = t = self._read_into(t, self._by_rows.rows.predict(x))
@@ -297,9 +297,9 @@ class RadialSolver(LinearArea):
         return rooted
 
     def _read_into(self, t: _Rooted, h: np.ndarray | None = None) -> _Rooted:
-        """``t`` with what the meters contribute where h(x) is ``h``, by default as read, and with further readings.
+        """``t`` with the contributions of the meters where h(x) is ``h``, by default z, and with further readings.
 
-        Two readings of one voltage are one of their joint weight.
+        Two readings of one voltage become one of their joint weight.
         """
         z, w, model = t.z.copy(), t.w.copy(), self._model
         own, of_injection = model.contribution(model.z if h is None else h), np.isin(t.slot % N_SLOT, (2, 3))
@@ -317,7 +317,7 @@ class RadialSolver(LinearArea):
         return replace(t, z=z, w=w, variance=1 / own.weight)
 
     def _variance_beside_further(self, t: _Rooted) -> np.ndarray:
-        """R of each meter less the variance of the one reading that it and further ones are, (n_meas,)."""
+        """R of each meter less the variance of its joint reading with further ones, (n_meas,); 0 without these."""
         if not self._model.further:
             return np.zeros(len(t.slot))
         share = 1 - 1 / (t.variance * t.w.ravel()[t.slot])
@@ -327,7 +327,7 @@ class RadialSolver(LinearArea):
 def _with_own_balance(
     S: np.ndarray, slope: np.ndarray, mean: np.ndarray, M: np.ndarray, g: np.ndarray, metered: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of the power into a child what the balance of its bus gives, where that is ``metered``, and LEAST_OF_POWER.
+    """The power into a child by the balance of its bus, where that is ``metered``, with LEAST_OF_POWER as information.
 
     Returns covariance, slope by (vm, va), mean of the change, and the information about the voltage.
     """

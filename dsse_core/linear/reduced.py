@@ -1,18 +1,18 @@
-"""The numbers of a small area by one orthogonal factor a state: the area reduced to its boundaries.
+"""Numerics of a small area by one orthogonal factor for each state: the area reduced to its boundaries.
 
-Reflections eliminate from all weighted rows the variables within the area; those of its boundaries, y, are left:
+Reflections eliminate the variables within the area from all weighted rows; the boundaries' variables y are left:
 
 ``Q'[W H | W r] = [[R_w, R_wy, z_w], [0, R_y, z_y]]`` with R_w upper triangular.
 
-What a neighbour is to receive, and the step at the boundaries, follow from the rows ``R_y``, ``z_y`` and from what
-others have sent; the voltages within the area follow by substitution. This needs no message, so that it is done while
-one is awaited.
+The information for a neighbour, and the step at the boundaries, follow from the rows ``R_y``, ``z_y`` and from the
+messages of other neighbours; the voltages within the area follow by substitution. The reduction needs no message, so it
+is done while one is awaited.
 
 The powers of the parent's boundary are functions of the voltages next to it, which are not eliminated either. The last
-two variables are shifts of the whole area (``shift_of_own_rows``). In place of the voltage of one boundary bus they
-keep from rounding what is known of it, and the steps over short branches. Rows with weights over many decades keep
-their digits each, as heavy rows come first and columns are pivoted (Higham, Accuracy and Stability of Numerical
-Algorithms, 20.3).
+two variables are shifts of the whole area (``shift_of_own_rows``). They replace the voltage of one boundary bus, and
+so protect the information about that voltage, and the steps over short branches, from rounding. Rows with weights over
+many decades keep their digits each, as heavy rows come first and columns are pivoted (Higham, Accuracy and Stability of
+Numerical Algorithms, 20.3).
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ from dsse_core.linear.rows import RowSolver, shift_of_own_rows
 
 
 class _Eliminated(NamedTuple):
-    """Variables eliminated from rows: ``triangle dx[order] = known - rest dy``; ``rows``: what is left of all rows.
+    """Variables eliminated from rows: ``triangle dx[order] = known - rest dy``, with ``turned = [rest | known]``.
 
-    ``Q``: the reflections, as LAPACK stores them, of the rows in the order ``taken``.
+    ``rows``: the rows that are left, without the eliminated variables. ``Q``: the reflections, as LAPACK stores them,
+    of the rows in the order ``taken``.
     """
 
     triangle: np.ndarray
@@ -46,7 +47,7 @@ class _Eliminated(NamedTuple):
     taken: np.ndarray
 
     def substitute(self, dy: np.ndarray) -> np.ndarray:
-        """dx."""
+        """dx, the eliminated variables, for ``dy``, the others."""
         return self._solve(self.turned[:, -1] - self.turned[:, :-1] @ dy)
 
     def spread(self, dy: np.ndarray) -> np.ndarray:
@@ -60,7 +61,7 @@ class _Eliminated(NamedTuple):
         return dx
 
     def turn_back(self, columns: np.ndarray) -> np.ndarray:
-        """In terms of the rows that were given, ``columns`` (len(rows), k) in terms of those that are left."""
+        """``columns`` (len(rows), k) of the rows that are left, in terms of the rows given, (len(taken), k)."""
         whole = np.zeros((len(self.taken), columns.shape[1]))
         whole[len(self.order) :] = columns
         if whole.size and len(self.order):
@@ -83,7 +84,7 @@ class _Reduced:
 
 
 class ReducedSolver(RowSolver):
-    """Steps, information and variances, from two stages of reflections; steps with damping from one."""
+    """Solver for steps, information and variances by two stages of reflections; steps with damping take one."""
 
     def __init__(self, model: AreaMeasurements, rows: Rows, name: str) -> None:
         super().__init__(model, rows, name)
@@ -124,7 +125,7 @@ class ReducedSolver(RowSolver):
         return dx
 
     def variances(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, np.ndarray]:
-        """Sums of squares, so that no digit is lost however far sigmas and impedances are apart.
+        """See ``LinearArea``; sums of squares lose no digit, however far sigmas and impedances are apart.
 
         With Q_0 the directions in which the weighted rows have no part, ``Omega = R^(1/2) Q_0 Q_0' R^(1/2)``; F: see
         ``_spread``.
@@ -165,14 +166,14 @@ class ReducedSolver(RowSolver):
         return BoundaryInformation(R, R @ y + z)
 
     def tied_sigma(self, boundary: Boundary) -> float:
-        """Of rows that tie powers to voltages.
+        """Sigma of rows that tie powers to voltages.
 
-        Where areas meet at several buses, rows heavier than exact ones would leave to rounding what these know.
+        Where areas meet at several buses, rows heavier than exact ones would leave the exact information to rounding.
         """
         return TIED_SIGMA if boundary.is_single else EXACT_SIGMA
 
     def _stack(self, reduced: _Reduced, received: Received, *, with_shifts: bool = False) -> np.ndarray:
-        """The rows of the boundaries, of messages, and of next to no weight for shifts that nothing determines."""
+        """Rows of the boundaries and of messages; ``with_shifts``: and rows of next to no weight for the two shifts."""
         parts = [reduced.within.rows]
         for name, (_, dy) in reduced.boundaries.items():
             if (message := received.get(name)) is not None:
@@ -185,8 +186,10 @@ class ReducedSolver(RowSolver):
         return np.concatenate(parts) if len(parts) > 1 else parts[0]
 
     def _reduce(self, x: np.ndarray) -> _Reduced:
-        """Found once for a state: for its voltages, which no message changes, then for the powers of children, in which
-        rows are linear if their weights follow from no residual.
+        """The area reduced at ``x``, found once for a state.
+
+        The reduction is found for the voltages, which no message changes, then moved to the powers into children. The
+        rows are linear in these if no weight depends on a residual; else the reduction is found at ``x`` itself.
         """
         if self._reduced is None or not np.array_equal(self._reduced.x, x):
             within = self._reduce_voltages(x)
@@ -198,7 +201,7 @@ class ReducedSolver(RowSolver):
         return self._reduced
 
     def _reduce_voltages(self, x: np.ndarray) -> _Eliminated:
-        """The voltages within the area eliminated, at x without power into children where that changes no weights."""
+        """Elimination of the voltages within the area; without power into children where that changes no weights."""
         if self.model.method is least_squares:
             x = np.where(np.arange(len(x)) < 2 * len(self.model.area.network.buses), x, 0.0)
         if self._within is None or not np.array_equal(self._within[0], x):
@@ -220,14 +223,14 @@ class ReducedSolver(RowSolver):
         return A
 
     def _find_least_rows(self) -> np.ndarray:
-        """One for each variable of the area, of next to no weight, should nothing determine it."""
+        """One row of next to no weight for each variable of the area, in case that nothing else determines it."""
         read = self._order.read
         least = np.zeros((len(read), self._order.size))
         least[np.arange(len(read)), np.arange(len(read))] = np.sqrt(self.least_information(read))
         return least
 
     def _boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, np.ndarray]:
-        """y, and how it follows from the variables of the boundaries."""
+        """y, shape (d,), and ``[dy | -y]`` by the variables of the boundaries."""
         order, n, boundary = self._order, self._order.n_within, self.model.boundary_of(neighbour)
         dy = order.picks[neighbour.area].copy()
         if neighbour.is_parent:
@@ -245,10 +248,11 @@ class _Order:
     """The order of an area's variables: those within it; those of its boundaries, ``n_boundary``: powers of children,
     voltages, and two shifts, which alone stand for the voltage of a single boundary bus.
 
-    ``read``: which of x the variables are, ``n_within`` of them within. ``of_step``: variables of the boundaries
-    without what follows from others, then the column of residuals. ``towards``: neighbour -> the same with what its y
-    consists of last, where shifts stand for its last voltage, and the places of these in y; for the parent of
-    ``_with_powers``.
+    ``read``: positions in x of the variables, the first ``n_within`` of them within. ``of_step``: columns of the
+    boundaries' variables without those that follow from others, then the column of residuals. ``towards``: neighbour
+    -> two arrays. The first has these columns with the variables of the neighbour's y last, where shifts stand for its
+    last voltage; for the parent they are columns of ``_with_powers``. The second has the positions in y of these
+    variables.
     """
 
     def __init__(self, model: AreaMeasurements) -> None:
@@ -269,7 +273,7 @@ class _Order:
         growth, turn, residual = range(self.n_boundary - 2, self.n_boundary + 1)
 
         def without(bus: int) -> list[int]:
-            """All but the voltage that follows from shifts, and but the turn where that does not move it."""
+            """All columns but the voltage of ``bus``, for which shifts stand, and but the turn at the reference."""
             out = {place.get(k) for k in of_bus[bus]} | (set() if of_bus[bus][1] in free else {turn})
             return [k for k in range(self.n_boundary) if k not in out]
 
@@ -293,8 +297,9 @@ class _Order:
             self.towards[n.area] = np.array([*left, *found, first + residual]), np.array([*range(first), *of_y])
 
     def shift(self, x: np.ndarray, growth: np.ndarray, turn: np.ndarray) -> np.ndarray:
-        """The change of x, (size,), where all voltages grow by a share, and turn by an angle, rad; for several of
-        these, (k,), (size, k).
+        """The change of x, (size,), where all voltages grow by the share ``growth`` and turn by ``turn``, rad.
+
+        For several of these, (k,), the changes are (size, k).
         """
         n = len(self._is_turned)
         of_growth = np.concatenate([np.zeros(n), x[n : 2 * n], 2 * x[2 * n :]])
@@ -309,7 +314,7 @@ def _find_next_to(area: Area, bus: int) -> set[int]:
 
 
 def _with_power(rows: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """``rows`` at a state without power into children where there is ``power``, of which they are linear functions."""
+    """``rows`` of a state without power into children, moved to ``power``, of which they are linear functions."""
     moved, change = rows.copy(), rows[:, : len(power)] @ power
     moved[:, -1] -= change
     moved[:, -3] += 2 * change  # the shift takes the powers along
@@ -317,7 +322,7 @@ def _with_power(rows: np.ndarray, power: np.ndarray) -> np.ndarray:
 
 
 def _with_powers(rows: np.ndarray, dy: np.ndarray, n: int, sigma: float) -> np.ndarray:
-    """``rows`` with changes of n powers, the parent's, before other variables, but for what the shift makes of them."""
+    """``rows`` with changes of the parent's n powers before other variables, without the shift's effect on these."""
     tie = dy[:n].copy()
     tie[:, -3] = tie[:, -1] = 0.0
     wide = np.zeros((len(rows) + n, rows.shape[1] + n))
@@ -326,8 +331,9 @@ def _with_powers(rows: np.ndarray, dy: np.ndarray, n: int, sigma: float) -> np.n
 
 
 def _undo_shifts(R: np.ndarray, places: np.ndarray, y: np.ndarray, boundary: Boundary) -> np.ndarray:
-    """R, shape (d, d), by changes of y, from R by what these are beside growth and turn, which stand for the last
-    voltage; ``places``: what of y is not given.
+    """R, shape (d, d), by changes of y, from R by changes of y beside growth and turn.
+
+    Growth and turn stand for the last voltage of y. ``places``: the positions in y of variables that are not given.
     """
     R, (vm, va) = R.copy(), (boundary.d - 2, boundary.d - 1)
     R[:, vm] = (R[:, vm] - R[:, :vm] @ (boundary.degrees * y)[:vm]) / y[vm]
@@ -337,9 +343,9 @@ def _undo_shifts(R: np.ndarray, places: np.ndarray, y: np.ndarray, boundary: Bou
 
 
 def _eliminate(rows: np.ndarray, n: int) -> _Eliminated:
-    """The first ``n`` variables eliminated from ``rows``, whose last column is that of the residuals.
+    """Elimination of the first ``n`` variables from ``rows``, whose last column is that of the residuals.
 
-    Rows without these variables come last and stay as they are: at the top a heavy one would be turned into all others.
+    Rows without these variables come last and stay as they are; at the top a heavy one would spread to all others.
     """
     if not n:
         nothing, none = np.zeros((0, 0)), np.zeros(0, dtype=int)
@@ -353,9 +359,9 @@ def _eliminate(rows: np.ndarray, n: int) -> _Eliminated:
 
 
 def _turn_alone(rows: np.ndarray, n: int) -> np.ndarray:
-    """Rows that hold the same, as few as possible of them with any of the first ``n`` variables.
+    """Rows with the same information as ``rows``, as few as possible of them with any of the first ``n`` variables.
 
-    Exact rows are heavier than others by so much that one more of them than variables to eliminate would spoil these.
+    Exact rows are so heavy that one more of them than variables to eliminate would spoil the other rows.
     """
     alone, turned = _eliminate(rows, n), np.zeros_like(rows)
     k = len(alone.turned)
@@ -365,7 +371,7 @@ def _turn_alone(rows: np.ndarray, n: int) -> np.ndarray:
 
 
 def _triangulate(rows: np.ndarray) -> np.ndarray:
-    """As many rows as columns, that hold the same, upper triangular."""
+    """Upper triangular rows with the same information as ``rows``, as many as columns."""
     m, n = rows.shape
     if m < n:
         rows = np.pad(rows, ((0, n - m), (0, 0)))

@@ -1,4 +1,4 @@
-"""The numbers of an area from its rows; of sparse ones by one factor of the augmented system each."""
+"""Numerics of an area from its rows; with sparse rows by one factor of the augmented system for each result."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, LinearArea, Ma
 from dsse_core.linear.sparse import SparseRows
 from dsse_core.matrices.augmented import AugmentedFactor
 
-MOST_TURNS = 4  # of the axes of (p, q)
+MOST_TURNS = 4  # axes of (p, q) that are tried, the first ones included
 
 
 class RowSolver(LinearArea):
-    """All rows of an area: own measurements, further ones, messages; ``rows``: those of ``model``, see ``Rows``."""
+    """Solver on all rows of an area: own measurements, further rows, messages; ``rows``: h and H of ``model``."""
 
     def __init__(self, model: AreaMeasurements, rows: Rows, name: str) -> None:
         self.name = name
@@ -58,7 +58,7 @@ class RowSolver(LinearArea):
 
 
 class TableauSolver(RowSolver):
-    """By sparse factors of the augmented system; ``rows``: see ``SparseRows``."""
+    """Solver by sparse factors of the augmented system, on ``SparseRows``."""
 
     rows: SparseRows
 
@@ -87,14 +87,15 @@ class TableauSolver(RowSolver):
         return np.asarray(B @ self.factor(H, sigma, self.model.free).covariance_times(B.T))
 
     def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
-        """What ``neighbour`` is to receive: everything but y eliminated, its own message left out.
+        """Information for ``neighbour``: every variable but y eliminated, the neighbour's own message left out.
 
-        Two parts, each a 2x2 matrix that no rounding of the other can spoil. What this side knows of the boundary's
-        voltage v = (vm_b, va_b), whatever power flows: with u all variables but v and
-        ``K = [[R, H_u], [H_u', -d]]``, ``M = B' s`` and ``g = B' s_r``, from ``K [s, .] = [B, 0]`` and
-        ``K [s_r, .] = [r, 0]``. And what it knows of the power given v: ``(p, q) = y_p + C du_r + (dp - C du_B) dv``
-        with covariance ``C G_uu^-1 C'`` (``_find_power``). ``B`` and ``dp`` are the responses of measurements and power
-        when v moves and takes the whole area along (``_responses_to_shift``).
+        The information has two parts, each a 2x2 matrix that no rounding of the other part can spoil. The first part is
+        about the boundary's voltage v = (vm_b, va_b), whatever power flows. With u all variables but v and
+        ``K = [[R, H_u], [H_u', -d]]`` it is ``M = B' s`` and ``g = B' s_r``, from ``K [s, .] = [B, 0]`` and
+        ``K [s_r, .] = [r, 0]``. The second part is about the power given v:
+        ``(p, q) = y_p + C du_r + (dp - C du_B) dv`` with covariance ``C G_uu^-1 C'`` (``_find_power``). ``B`` and
+        ``dp`` are the responses of measurements and power when v moves and takes the whole area along
+        (``_responses_to_shift``).
         """
         received = {name: message for name, message in received.items() if name != neighbour.area}
         H, r, sigma = self.stack(x, received)
@@ -113,18 +114,18 @@ class TableauSolver(RowSolver):
         return put_together(y, P @ W.T, P @ (A.T @ B - W.T @ dp), P @ (A.T @ r), (N, z_of_voltage))
 
     def factor(self, H: Matrix, sigma: np.ndarray, columns: np.ndarray) -> AugmentedFactor:
-        """The factor of some columns of H, damped only where nothing determines a variable yet."""
+        """Factor of the ``columns`` of H, with the damping of ``least_information``."""
         return self.rows.factor(H[:, columns], sigma, self.least_information(columns), columns)
 
 
 def _find_power(
     factor: AugmentedFactor, C: Matrix, A: np.ndarray, du: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What is known of (p, q), with v given: W, S, (2, 2), and A, (rows, 2).
+    """Information about (p, q), with v given: W, S, (2, 2), and A, (rows, 2).
 
-    S is the covariance of ``W'(p, q)``, and ``W'C du = A'r`` for residuals r. W turns the axes: beside a combination
-    that is as good as unknown the other one would drown in rounding, so both are solved for by themselves. ``A``,
-    ``du``: the solution for W = 1.
+    S is the covariance of ``W'(p, q)``, and ``W'C du = A'r`` for residuals r. W turns the axes, so that both
+    combinations of p and q are solved for by themselves; beside a combination that is as good as unknown the other one
+    would drown in rounding. ``A``, ``du``: the solution for W = 1.
     """
     W = np.eye(2)
     for turn in range(MOST_TURNS):
@@ -140,9 +141,9 @@ def _find_power(
 def shift_of_own_rows(model: AreaMeasurements, rows: Rows, x: np.ndarray, H: Matrix) -> np.ndarray:
     """Responses of the area's own and further rows, H of ``stack``, to growth and turn of all voltages, shape (:, 2).
 
-    The first scales all voltages of the area alike, the second turns all its angles (but a reference): then powers
-    respond with 2 s and 0 exactly. Moving one bus alone would change flows by dv / z and leave to rounding what is
-    known of its voltage, a difference of such changes.
+    Growth scales all voltages of the area alike, and turn turns all its angles (but a reference). Powers respond with
+    2 s and 0 exactly. Moving one bus alone would change flows by dv / z; the information about its voltage, a
+    difference of such changes, would be left to rounding.
     """
     own = np.zeros((len(model.z), 2))
     own[:, 0], own[model.angles, 1] = model.degrees * rows.predict(x), 1.0
@@ -155,7 +156,7 @@ def shift_of_own_rows(model: AreaMeasurements, rows: Rows, x: np.ndarray, H: Mat
 def _responses_to_shift(
     model: AreaMeasurements, rows: Rows, x: np.ndarray, neighbour: Neighbour, received: Received, H: Matrix
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How all rows H of ``stack``, shape (rows, 2), and (p, q) at the boundary, shape (2, 2), respond to dv.
+    """Responses to dv of all rows H of ``stack``, shape (rows, 2), and of (p, q) at the boundary, shape (2, 2).
 
     The voltage of the boundary moves and takes the whole area along.
     """

@@ -18,12 +18,12 @@ from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
 
 
 class SparseRows(Rows):
-    """The rows of the meters, and of each boundary when they are asked for."""
+    """Sparse rows of the meters and of each boundary, computed on demand."""
 
     def __init__(self, area: AreaMeasurements) -> None:
         self._area = area
         self._n = len(area.area.network.buses)
-        self._at = b""  # the x of what is kept: steps, messages and variances ask for that of one state in turn
+        self._at = b""  # the x of the numbers that are kept: steps, messages and variances ask for them in turn
         self._h: np.ndarray | None = None
         self._H: sp.csr_array | None = None
         self._boundaries: dict[str, tuple[np.ndarray, sp.csr_array]] = {}
@@ -80,8 +80,8 @@ class SparseRows(Rows):
 
     @cached_property
     def _branches_at_parent(self) -> list[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-        """For each power: row of its bus; of the branches there: row of the other end, conj of own and mutual
-        admittance.
+        """For each bus of the parent's boundary: its row, rows of the branches' other ends, conj of own admittance and
+        of mutual ones.
         """
         assert self._area.into_area is not None
         found = []
@@ -97,7 +97,7 @@ class SparseRows(Rows):
         return sp.csr_array((np.ones(len(columns)), np.array(columns), np.arange(len(columns) + 1)), shape=shape)
 
     def messages(self, x: np.ndarray, received: Received) -> tuple[list[Matrix], list[np.ndarray]]:
-        """All rows at once, as an area may have many children."""
+        """See ``Rows``; one matrix for all messages, as an area may have many children."""
         rows: list[tuple[np.ndarray, np.ndarray]] = []  # numbers, and the columns that they belong to
         r: list[np.ndarray] = []
         for n in self._area.area.neighbours:
@@ -128,7 +128,7 @@ class SparseRows(Rows):
         return sp.csr_array(sp.vstack(parts, format="csr"))
 
     def without_rounding(self, H: Matrix) -> sp.csr_array:
-        """H with entries of 0 where rounding has left something of a derivative that is nothing."""
+        """H with entries of 0 where a derivative is only rounding."""
         H = cast("sp.csr_array", H)
         row = np.repeat(np.arange(H.shape[0]), np.diff(H.indptr))
         size = abs(H.data)
@@ -139,8 +139,10 @@ class SparseRows(Rows):
     def factor(
         self, H: Matrix, sigma: np.ndarray, damping: np.ndarray, columns: np.ndarray | None = None
     ) -> AugmentedFactor:
-        """On a tree, where ``columns`` are given, eliminated from the buses far from the parent to its own, which takes
-        a third of the time.
+        """Factor of the augmented system of ``H``.
+
+        Where ``columns`` are given and the area is a tree, elimination goes from the buses far from the parent to the
+        parent's bus, which takes a third of the time.
         """
         H, order = sp.csr_array(H), None
         if columns is not None and self._places is not None:
@@ -151,21 +153,21 @@ class SparseRows(Rows):
 
     @cached_property
     def _places(self) -> TableauPlaces | None:
-        """When what is eliminated; None where the area has loops."""
+        """Places of buses and meters in the order of elimination; None where the area has loops."""
         network, entry = self._area.area.network, self._area.area.entry_bus
         tree = find_tree(network, entry)
         return None if isinstance(tree, str) else place_in_tree(tree, self._area.model)
 
     @cached_property
     def _place_columns(self) -> np.ndarray:
-        """Of each variable, shape (size,): the power into a child comes with the voltages of its bus."""
+        """Place of each variable, shape (size,); the power into a child has that of the voltages of its bus."""
         assert self._places is not None
         area, of_bus = self._area.area, self._places.of_bus
         of_powers = [area.network.row[power.bus] for power in area.powers_into_children]
         return np.concatenate([of_bus, of_bus, of_bus[np.array(of_powers, dtype=int)]])
 
     def _place_others(self, H: sp.csr_array, of_columns: np.ndarray) -> np.ndarray:
-        """Of the rows after the meters', further ones and those of messages: before the last of their variables."""
+        """Place of each row after the meters', of further rows and messages: just before the last of its variables."""
         first = H.indptr[len(self._area.meters) :]
         found, is_given = np.zeros(len(first) - 1, dtype=np.int64), np.diff(first) > 0
         if is_given.any():

@@ -34,30 +34,30 @@ NEARBY = 1e-7  # relative accuracy of a step on the factor of a state nearby
 ROUND_OFF = 1e-14  # p.u. and rad; no step need be more accurate
 CONTRACTION = 0.3  # of a correction to the one before; where they shrink less a new factor costs less
 MOST_REFINEMENTS = 5
-# Of SuperLU, where the order of elimination is given: little pivoting, which refinement makes up for, and no
-# supernodes, of which these tableaus have none worth having.
+# Options of SuperLU where the order of elimination is given: little pivoting, which refinement makes up for, and no
+# supernodes, as those of these tableaus are not worth it.
 ORDERED = {"diag_pivot_thresh": 1e-3, "relax": 1, "panel_size": 1, "options": {"SymmetricMode": True}}
-KEPT_PIVOT = 1e-6  # in place of 1e-3 where a pivot that is moved fills in: below it of its column's largest entry
-REFINED = 1e-6  # of a correction to a solution, whose square is what is left; else pivots are moved after all
-# Of the tableau's rows, from which elimination in a given order is compiled: with 500 buses loading numba pays.
+KEPT_PIVOT = 1e-6  # in place of 1e-3 where a moved pivot fills in: least pivot, in parts of its column's largest entry
+REFINED = 1e-6  # largest correction relative to a solution; the error left is its square; else pivots are moved
+# Rows of the tableau from which on elimination in a given order is compiled: with 500 buses loading numba pays.
 FEWEST_COMPILED = 2500
-PIVOT = 0.1  # of a compiled elimination that fills in nothing, in parts of the largest entry left in the column
-PIVOT_FILLING_IN = 1e-3  # of one that does: a pivot that is moved fills in more
+PIVOT = 0.1  # least pivot of a compiled elimination without fill-in, in parts of the largest entry left in the column
+PIVOT_FILLING_IN = 1e-3  # the same with fill-in, as a moved pivot fills in more
 ROWS_OF_A_BUS = 6  # about: two of voltages, and its meters
-FEWEST_SELECTED = 400  # rows of the tableau, from which the selected inverse takes less than solves
+FEWEST_SELECTED = 400  # rows of the tableau from which on the selected inverse takes less than solves
 MOST_SOLVED = 100_000_000  # rows of the tableau times right-hand sides: some ten seconds
 FEW_SOLVED = 256  # right-hand sides, where MOST_SOLVED does not allow all
 BLOCK = 256  # right-hand sides solved at once; bounds memory at (n_meas + n_state, BLOCK)
 
 
 class AugmentedPattern:
-    """Where the entries of the tableau stand, the same for all ``H`` with one pattern.
+    """Places of the entries of the tableau, the same for all ``H`` with one pattern.
 
     ``order`` (n_meas + n_state,): the tableau's rows in the order of elimination; SuperLU's COLAMD without it.
-    ``fills_in``: whether the factor in that order is fuller than the tableau. ``careful``: whether pivots
-    are the largest, by SuperLU, so that no digit is lost, rather than those that fill in least. ``blocks`` (n_meas +
-    n_state,): of the rows in that order, where these make a tree.
-    ``place`` (n_meas + n_state,): where each row of the tableau is in that order.
+    ``fills_in``: the factor in that order is fuller than the tableau. ``careful``: pivots are the largest, by SuperLU,
+    so that no digit is lost, rather than those that fill in least. ``blocks`` (n_meas + n_state,): the block of each
+    row in that order, where blocks make a tree. ``place`` (n_meas + n_state,): place of each row of the tableau in that
+    order.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class AugmentedPattern:
 
     @cached_property
     def is_compiled(self) -> bool:
-        """Whether elimination in this order is: decided once, when it is first asked for."""
+        """True where elimination in this order is compiled; decided once, on the first call."""
         can_pay = self.order is not None and self._size >= FEWEST_COMPILED and not self._careful
         return can_pay and find_obstacle("sparse", self._size // ROWS_OF_A_BUS) is None
 
@@ -125,7 +125,7 @@ class AugmentedPattern:
         return there
 
     def factor(self, tableau: sp.csc_array, known: Elimination | None = None) -> spla.SuperLU | CompiledFactor:
-        """What most steps and variances are found with; ``known``: of a tableau nearby.
+        """Factor of the tableau for most steps and variances; ``known``: elimination of a tableau nearby.
 
         Raises RuntimeError where the tableau is exactly singular.
         """
@@ -136,7 +136,7 @@ class AugmentedPattern:
         return factor_compiled(tableau, PIVOT_FILLING_IN if self.fills_in else PIVOT, known)
 
     def factor_by_superlu(self, tableau: sp.csc_array, *, exact: bool = False) -> spla.SuperLU:
-        """``exact``: with full pivoting, so that refinement has nothing to make up for.
+        """Factor of the tableau by SuperLU; ``exact``: with full pivoting, so that refinement is not needed.
 
         Raises RuntimeError where the tableau is exactly singular.
         """
@@ -150,7 +150,7 @@ class AugmentedFactor:
     """The factorised system for ``H`` (n_meas, n_state) and ``sigma`` (n_meas,), 0 where a row must hold exactly.
 
     ``damping``, a number or one per state variable, is added to the diagonal of the information about the state:
-    the lower right block becomes ``-diag(damping)``. ``pattern``: that of H, where it is there already.
+    the lower right block becomes ``-diag(damping)``. ``pattern``: pattern of H, if it is known already.
     ``variance`` (n_meas,): sigma squared. ``n_state``: unknowns. ``nearby``: a factor whose pivots may serve.
 
     Raises:
@@ -193,8 +193,8 @@ class AugmentedFactor:
     def solve_nearby(self, H: sp.csr_array, above: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """(s, dx) of ``solve(above, 0)`` for another H of the same pattern, by refinement with this factor.
 
-        It begins at the given ``s``, such as the last one, and ends where dx is known to NEARBY of itself or to
-        ROUND_OFF; None where the two H are too far apart for that.
+        Refinement begins at the given ``s``, such as the last one, and ends where dx is accurate to NEARBY of itself or
+        to ROUND_OFF. None where the two H are too far apart for that.
         """
         tableau, m = self._fill(H), self._n_meas
         solution = np.concatenate([s / (self._a * self._scale[:m]), np.zeros(self.n_state)])
@@ -257,7 +257,8 @@ class AugmentedFactor:
     def _find_selected(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
         """Entries of the inverse of the tableau by compiled elimination or on a tree; solutions where digits are lost.
 
-        None where it is neither, there are too many solutions, or an entry is far from all of the tableau.
+        None without compiled elimination or tree, where too many solutions are needed, or where an entry is far from
+        all entries of the tableau.
         """
         by = self._pattern.tree if isinstance(self._lu, spla.SuperLU) else self._lu
         if by is None:
@@ -296,12 +297,12 @@ class AugmentedFactor:
         return variance
 
     def _can_find(self, count: int) -> bool:
-        """Whether so many entries of the diagonal take less than MOST_SOLVED."""
+        """True where ``count`` entries of the inverse's diagonal cost no more than MOST_SOLVED."""
         return len(self._scale) * count <= MOST_SOLVED or self._inverse_diagonal is not None
 
     @cached_property
     def _inverse_diagonal(self) -> np.ndarray | None:
-        """Of the tableau, where that takes less than its solves."""
+        """Diagonal of the tableau's inverse, (n_meas + n_state,); None where solves cost less or it cannot be found."""
         if len(self._scale) < FEWEST_SELECTED:
             return None
         everywhere = np.arange(len(self._scale))
@@ -313,7 +314,7 @@ class AugmentedFactor:
         return None if found is None else self._scale**2 * self._pattern.permute_back(found)
 
     def _diagonal(self, rows: np.ndarray) -> np.ndarray:
-        """Entries ``rows`` of the diagonal of the inverse."""
+        """Entries ``rows`` of the diagonal of the tableau's inverse."""
         if self._inverse_diagonal is not None:
             return np.asarray(self._inverse_diagonal[rows])
         return self._solve_entries(rows, rows)
@@ -361,10 +362,10 @@ def reciprocal_root(square: np.ndarray) -> np.ndarray:
 
 
 def raise_damping(below: np.ndarray) -> np.ndarray:
-    """More of the scaled damping, where rounding has swallowed what there was.
+    """Larger scaled damping, where rounding has swallowed ``below``.
 
     Raises:
-        RuntimeError: there is none, or it is large enough already.
+        RuntimeError: the damping is 0, or large enough already.
     """
     if not below.any() or below.max() > LARGEST_DAMPING:
         raise RuntimeError("the tableau is exactly singular")

@@ -1,8 +1,8 @@
 """Entries of the inverse of a symmetric matrix whose blocks make a tree, level by level.
 
-Of a block ``i`` with the parent ``p``, ``S_i = A_ii - sum of A_ci' X_c`` over its children, ``X_i = S_i^-1 A_ip``. On
-the way back ``Z_ip = -X_i Z_pp`` and ``Z_ii = S_i^-1 + X_i Z_pp X_i'``. All blocks of a level are done at once, each
-with row pivoting inside.
+For a block ``i`` with the parent ``p``, ``S_i = A_ii - sum of A_ci' X_c`` over its children c and
+``X_i = S_i^-1 A_ip``. On the way back ``Z_ip = -X_i Z_pp`` and ``Z_ii = S_i^-1 + X_i Z_pp X_i'``. All blocks of a level
+are eliminated at once, each with row pivoting inside.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from dsse_core.grid.admittance import follow
 from dsse_core.matrices.selected_inverse import WRONG
 
 Entries = tuple[np.ndarray, np.ndarray]
-"""Numbers of entries of A, and where they stand among the entries of blocks; (k,) each."""
+"""Numbers of entries of A, and their places among the entries of blocks; (k,) each."""
 
 
 @dataclass(frozen=True, repr=False)
 class BlockTree:
-    """Blocks of the rows of matrices of one pattern. ``block``, ``place`` (n,): the block of each row, and where in it
-    the row stands. ``parent``, ``size`` (n_block,); the root's parent is itself. ``levels``: blocks by their distance
+    """Blocks of the rows of matrices of one pattern. ``block``, ``place`` (n,): the block of each row, and the place of
+    the row in it. ``parent``, ``size`` (n_block,); the root's parent is itself. ``levels``: blocks by their distance
     from the root, from 1 on, children of one parent side by side.
     """
 
@@ -33,8 +33,10 @@ class BlockTree:
     levels: list[np.ndarray]
 
     def find_inverse(self, A: sp.csc_array, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The entries (rows[k], columns[k]) of the inverse of ``A``, and which of them may have lost digits, shape (k,)
-        each; nan for entries that join neither a block with itself nor with its parent, or where a block is singular.
+        """The entries (rows[k], columns[k]) of the inverse of ``A``, and True for those that may have lost digits.
+
+        Both have the shape (k,). Entries that join a block neither with itself nor with its parent are nan; all are nan
+        where a block is singular.
         """
         n, m = len(self.size), int(self.size.max())
         own, up = np.zeros((n, m, m)), np.zeros((n, m, m))
@@ -65,7 +67,7 @@ class BlockTree:
         return found[0], found[1]
 
     def _invert(self, own: np.ndarray, up: np.ndarray) -> None:
-        """Put ``Z_ii`` in place of ``A_ii`` and ``Z_ip`` in place of ``A_ip``, (n_block, m, m) each."""
+        """Puts ``Z_ii`` in place of ``A_ii`` and ``Z_ip`` in place of ``A_ip``, (n_block, m, m) each."""
         unit = np.eye(own.shape[1])
         for level in reversed(self.levels):
             A_ip = up[level]
@@ -81,7 +83,7 @@ class BlockTree:
             own[level] -= Z_ip @ X.transpose(0, 2, 1)
 
     def _take(self, own: np.ndarray, up: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Entries of Z, (k,); nan where it has none."""
+        """Entries of Z, (k,); nan where no block has the entry."""
         swap = self.block[rows] > self.block[columns]
         rows, columns = np.where(swap, columns, rows), np.where(swap, rows, columns)
         i, p, r, c = self.block[rows], self.block[columns], self.place[rows], self.place[columns]
@@ -95,8 +97,9 @@ def _columns_of(A: sp.csc_array) -> np.ndarray:
 
 
 def find_block_tree(A: sp.csc_array, block: np.ndarray) -> BlockTree | None:
-    """The tree of the blocks of A's rows, of which the numbers ``block`` (n,) grow towards the root; None where they
-    make none.
+    """The tree of the blocks of A's rows; None where the blocks make no tree.
+
+    ``block`` (n,): number of the block of each row; the numbers grow towards the root.
     """
     size = np.bincount(block)
     place, by_block = np.empty(len(block), dtype=np.int64), np.argsort(block, kind="stable")

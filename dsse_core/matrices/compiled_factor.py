@@ -18,12 +18,12 @@ from dsse_core.matrices.elimination import (
 )
 from dsse_core.matrices.selected_inverse import WRONG
 
-KEPT = 0.1  # of the least pivot of an elimination: what may stay one for another matrix
+KEPT = 0.1  # least pivot for another matrix of the same pattern, in parts of the least pivot of an elimination
 
 
 @dataclass(frozen=True, repr=False)
 class Elimination:
-    """The pattern of F and the pivots; see ``elimination``."""
+    """The pattern of F, and its pivots; see ``elimination``."""
 
     first: np.ndarray
     rows: np.ndarray
@@ -33,7 +33,7 @@ class Elimination:
 
 @dataclass(frozen=True, repr=False)
 class CompiledFactor:
-    """Factors of a matrix (n, n); ``values``: of F."""
+    """LU factors of a matrix (n, n); ``values``: the entries of F."""
 
     elimination: Elimination
     values: np.ndarray
@@ -46,8 +46,10 @@ class CompiledFactor:
         return found
 
     def find_inverse(self, A: sp.csc_array, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The entries (rows[k], columns[k]) of the inverse of a symmetric ``A``, whose factors these are, and which of
-        them may have lost digits, shape (k,) each; nan for entries whose transposed places F does not have.
+        """The entries (rows[k], columns[k]) of the inverse of ``A``, and True for those that may have lost digits.
+
+        Both have the shape (k,). These are the factors of ``A``, which is symmetric. Entries whose transposed places F
+        does not have are nan.
         """
         e = self.elimination
         Z = invert(e.first, e.rows, e.diagonal, self.values)
@@ -60,7 +62,7 @@ class CompiledFactor:
 def factor_compiled(A: sp.csc_array, pivot: float, known: Elimination | None = None) -> CompiledFactor:
     """The factors of A; by the pivots ``known`` of a matrix of the same pattern, where they serve.
 
-    ``pivot``: of the largest entry left in its column, what may be a pivot.
+    ``pivot``: least size of a pivot, in parts of the largest entry left in its column.
 
     Raises:
         RuntimeError: A is exactly singular.

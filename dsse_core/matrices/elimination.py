@@ -34,12 +34,12 @@ def fill_tableau(gather, above, below, data, row, column, scale):
 
 @compiled
 def eliminate(indptr, indices, data, threshold):
-    """F of the matrix (n, n) by columns, and for each row the number of its pivot; number -1 where it is singular.
+    """F of the matrix (n, n) by columns, and the number of each row's pivot, -1 for rows left of a singular matrix.
 
     The pivot of column k is at row k where that is at least ``threshold`` of the largest, else at the first row that
     is: rows near in the order of elimination share most columns, so that exchanging them fills in little. Each column
-    is solved for with those before it, of which a search from its entries finds the ones that count (J. R. Gilbert and
-    T. Peierls, SIAM J. Sci. Stat. Comput. 9 (1988) 862).
+    is solved for with the columns before it; a search from its entries finds those that have a part in it (J. R.
+    Gilbert and T. Peierls, SIAM J. Sci. Stat. Comput. 9 (1988) 862).
     """
     n = len(indptr) - 1
     number, rows, values = (
@@ -86,7 +86,7 @@ def eliminate(indptr, indices, data, threshold):
 
 @compiled
 def _reach(row, k, number, first, pivots, rows, seen, reached, path, at, top):
-    """Add to ``reached``, before ``top``, what ``row`` leads to through the columns of L, each before what follows."""
+    """Adds to ``reached``, before ``top``, the rows that ``row`` leads to through the columns of L, in their order."""
     depth, path[0], at[0], seen[row] = 0, row, 0, k
     while depth >= 0:
         c, deeper = number[path[depth]], False
@@ -106,7 +106,7 @@ def _reach(row, k, number, first, pivots, rows, seen, reached, path, at, top):
 
 @compiled
 def _choose_pivot(k, x, seen, number, reached, top, threshold):
-    """The row of the pivot of column ``k``; -1 where all that is left is 0."""
+    """The row of the pivot of column ``k``; -1 where all entries left are 0."""
     largest, chosen = 0.0, -1
     for e in range(top, len(x)):
         if number[reached[e]] < 0:
@@ -131,7 +131,7 @@ def _longer(given, size):
 
 @compiled
 def sort_rows(first, rows, values, number):
-    """F with the rows of each column numbered as their pivots, ascending; rows, values, and where diagonals stand."""
+    """F with the rows of each column numbered as their pivots, ascending: rows, values, and places of diagonals."""
     n = len(number)
     of_row = np.zeros(n + 1, dtype=np.int64)
     for p in range(len(rows)):
@@ -162,8 +162,9 @@ def sort_rows(first, rows, values, number):
 
 @compiled
 def eliminate_again(first, rows, diagonal, number, indptr, indices, data, least):
-    """The values of F of another matrix of the same pattern with the same pivots; how many of these, from the first
-    column on, are at least ``least`` of what is left in their columns.
+    """The values of F of another matrix of the same pattern with the same pivots, and the number of columns done.
+
+    Elimination ends at the first pivot that is not above ``least`` times the largest entry left below it.
     """
     n = len(number)
     values, x = np.empty(len(rows)), np.zeros(n)
@@ -214,7 +215,7 @@ def substitute(first, rows, diagonal, number, values, b):
 
 @compiled
 def find_rest(indptr, indices, data, b, x):
-    """``b - A x`` of a symmetric A, (n,): scipy's products look at their arguments for as long as they multiply."""
+    """``b - A x`` of a symmetric A, (n,); scipy's product takes as long again for the check of its arguments."""
     rest = np.empty(len(b))
     for k in range(len(b)):
         total = b[k]
@@ -226,7 +227,7 @@ def find_rest(indptr, indices, data, b, x):
 
 @compiled
 def invert(first, rows, diagonal, values):
-    """Of the inverse Z of L U the entries at the transposed places of F: at that of (r, c) the entry (c, r).
+    """Entries of the inverse Z of L U at the transposed places of F: the place of (r, c) has the entry (c, r).
 
     From the last pivot k to the first, ``Z_jk = -sum_i Z_ji L_ik`` and ``Z_ki = -sum_j U_kj Z_ji / U_kk`` for j and i
     after k, and ``Z_kk = (1 - sum_j U_kj Z_jk) / U_kk`` (Erisman and Tinney).
@@ -279,7 +280,7 @@ def _find_place(first, rows, number, row, column):
 
 @compiled
 def find_places(first, rows, number, at_rows, at_columns):
-    """Where in F the entries (at_rows[k], at_columns[k]) of the matrix stand; -1 where F has none."""
+    """Places in F of the entries (at_rows[k], at_columns[k]) of the matrix, (k,); -1 where F has none."""
     found = np.empty(len(at_rows), dtype=np.int64)
     for k in range(len(at_rows)):
         found[k] = _find_place(first, rows, number, at_rows[k], at_columns[k])
@@ -290,7 +291,7 @@ def find_places(first, rows, number, at_rows, at_columns):
 def check_inverse(first, rows, number, Z, indptr, indices, data):
     """The largest entry of Z A - 1 in each row, (n,), for ``invert``'s Z of a symmetric A.
 
-    Of row k those columns are looked at that A has entries in, too, as far as Z has all that they need.
+    In row k only columns where A has an entry are checked, if Z has all entries that they need.
     """
     n = len(number)
     row, known, miss = np.zeros(n), np.full(n, -1), np.zeros(n)

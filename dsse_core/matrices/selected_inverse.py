@@ -1,7 +1,7 @@
 """Entries of the inverse of a sparse matrix from its LU factors, in about the time of the factorisation.
 
-Of ``Z = (L U)^-1`` the entries at the transposed places of L + U follow from one another, from the last pivot to the
-first, and from no others (Erisman and Tinney, On computing certain elements of the inverse of a sparse matrix,
+The entries of ``Z = (L U)^-1`` at the transposed places of L + U follow from one another, from the last pivot to the
+first, and from no other entries (Erisman and Tinney, On computing certain elements of the inverse of a sparse matrix,
 Communications of the ACM 18 (3), 1975).
 """
 
@@ -13,15 +13,15 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-WRONG = 1e-9  # by which a row of Z times a column of A may miss 1
+WRONG = 1e-9  # largest difference of a row of Z times a column of A from 1
 MOST_PRODUCTS = 20_000_000  # of entries of L and U; about 1 GiB
 
 
 def find_inverse_entries(A: sp.csc_array, lu: spla.SuperLU, rows: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
     """The entries (rows[k], columns[k]) of A^-1, shape (k,), from the factors of ``A``.
 
-    None where the factors are too full, or not accurate enough. Entries far from those of A and its factors make them
-    fuller.
+    None where the factors are too full, or not accurate enough. Entries far from those of A and its factors make the
+    factors fuller.
     """
     n = A.shape[0]
     row_of, column_of = lu.perm_r.astype(np.int64), lu.perm_c.astype(np.int64)
@@ -53,9 +53,9 @@ def find_inverse_diagonal(A: sp.csc_array, lu: spla.SuperLU) -> np.ndarray | Non
 class _Places:
     """Places (row, column) in L + U, closed under elimination; ``key``: row n + column, ascending.
 
-    ``below``, ``right``: where in ``key`` the entries below a pivot and right of it stand, pivot by pivot; ``product``:
-    where the row of each of the former meets the column of each of the latter. ``first_below[k]``, ``first_right[k]``
-    and ``first_product[k]`` are the first of pivot k.
+    ``below``, ``right``: positions in ``key`` of the entries below a pivot and right of it, pivot by pivot.
+    ``product``: positions of the entries where the row of an entry of ``below`` meets the column of an entry of
+    ``right``. ``first_below[k]``, ``first_right[k]`` and ``first_product[k]`` are the first of pivot k.
     """
 
     def __init__(self, key: np.ndarray, n: int) -> None:
@@ -73,7 +73,7 @@ class _Places:
 
     @classmethod
     def closed(cls, key: np.ndarray, n: int) -> _Places | None:
-        """Factors leave out entries that cancel; here they have their places. None above MOST_PRODUCTS."""
+        """Places with all that elimination adds, also for entries that cancel; None above MOST_PRODUCTS."""
         closed = _close(key, n)
         if closed is None:
             return None
@@ -95,7 +95,7 @@ class _Places:
 def _close(key: np.ndarray, n: int) -> np.ndarray | None:
     """``key`` with all that elimination adds, pivot by pivot, so that each product is looked at once.
 
-    None above MOST_PRODUCTS, at the pivot that exceeds it.
+    None at the first pivot where the products exceed MOST_PRODUCTS.
     """
     row, column = np.divmod(key, n)
     first = np.searchsorted(row, np.arange(n + 1)).tolist()
@@ -121,7 +121,7 @@ def _close(key: np.ndarray, n: int) -> np.ndarray | None:
 
 
 def _sort(keys: list[np.ndarray]) -> np.ndarray:
-    """Each once, ascending; ``np.unique`` takes far longer where many are alike."""
+    """Every key once, ascending; ``np.unique`` takes far longer where many keys are equal."""
     key = np.sort(np.concatenate(keys))
     return np.asarray(key[np.append(True, key[1:] != key[:-1])])
 
@@ -132,7 +132,7 @@ def _places(factor: sp.coo_array) -> np.ndarray:
 
 
 def _invert(places: _Places, value: np.ndarray) -> np.ndarray:
-    """Of Z the entries at the transposed ``places``; ``value``: L below the diagonal, U on it and above."""
+    """Entries of Z at the transposed ``places``; ``value``: L below the diagonal, U on it and above."""
     n = places.n
     at_pivot = places.find(np.arange(n) * (n + 1))
     pivot = value[at_pivot]
