@@ -1,1 +1,1 @@
-"""What an operator does to a running system: meters off and on, a scan at once, its end."""
+"""Actions of an operator on a running system: meters off and on, an immediate scan, the end of all processes."""

@@ -24,7 +24,7 @@ UNSECURED = "without --keys anybody on this bus can do the same"
 
 
 def operator_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Where the system is; the command gets ``join``, which joins it as its operator."""
+    """Adds the options for the address of the system. The command receives ``join``, which joins it as its operator."""
 
     @address_options
     @functools.wraps(command)

@@ -1,4 +1,4 @@
-"""The operator of a running system: gives a command again and again until those whom it concerns show its effect."""
+"""The operator of a running system: repeats a command until all areas and plants concerned show its effect."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.printable import listed
 
 REPEAT_S = 0.2
-LINK_S = 3.0  # for areas that others send to, and a router does not show; a direct link may take longer
+LINK_S = 3.0  # wait for areas that other areas send to and a router does not show; a direct link may take longer
 MOST_NAMED = 12
 CURES = {
     TOO_OLD: "the clocks of its host and of this one differ; set them",
@@ -31,12 +31,12 @@ CURES = {
 
 
 class NotFollowedError(DsseError):
-    """A command shows no effect: who has not followed it, and why, as far as they say."""
+    """A command shows no effect. Names the areas or plants that have not followed it, and their reasons where known."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Order:
-    """What a command asks for."""
+    """The content of a command: meters to leave out or to use again, a new scan, the end of the process."""
 
     meters_off: Collection[str] = ()
     meters_on: Collection[str] = ()
@@ -46,12 +46,12 @@ class _Order:
 
 @contextmanager
 def operate(address: RunAddress) -> Iterator[Operator]:
-    """Join the bus as the operator of a run, and wait until all areas that are there have shown their states.
+    """Joins the bus as the operator of a run, and waits until all areas on the bus have shown their states.
 
     Raises:
         InvalidInputError: the operator's keys cannot be used, or ``address.run`` is no name of a run.
-        TransportError: no endpoint answers in time, no run or several are there.
-        NotFollowedError: no area is there, or one says nothing.
+        TransportError: no endpoint answers in time, or the bus has no run or several.
+        NotFollowedError: the bus has no area of the run, or an area shows no state in time.
     """
     timeout_s = address.timeout_s
     with attach(address, OPERATOR) as look:
@@ -67,7 +67,10 @@ def operate(address: RunAddress) -> Iterator[Operator]:
 
 
 def _wait_for_neighbours(look: Look, timeout_s: float) -> None:
-    """Wait until all areas are there that others speak to, in turn: without a router links come about one by one."""
+    """Waits up to ``timeout_s`` until all areas that others send to are on the bus, and all areas have shown states.
+
+    Without a router, links open one after another.
+    """
     deadline = time.monotonic() + timeout_s
     while ((watcher := look(STEP_S)).find_absent() or not watcher.is_whole()) and time.monotonic() < deadline:
         pass
@@ -75,7 +78,10 @@ def _wait_for_neighbours(look: Look, timeout_s: float) -> None:
 
 @dataclass
 class Operator:
-    """``areas``: those that were there in the beginning; ``absent``: those that were not, and that they send to."""
+    """An operator on the bus.
+
+    ``areas``: the areas on the bus at the start. ``absent``: the areas that they send to and that were not on the bus.
+    """
 
     session: Session
     run: str
@@ -89,11 +95,11 @@ class Operator:
     _publishers: dict[str, Callable[[bytes], None]] = field(default_factory=dict)
 
     def switch_off(self, meters: Collection[str]) -> dict[str, str]:
-        """Have ``meters`` left out by the areas that they belong to, as those say: meter -> area.
+        """Switches ``meters`` off in the areas that own them, and returns the owners: meter -> area.
 
         Raises:
-            InvalidInputError: no area has a meter of this id; then none of ``meters`` is newly off.
-            NotFollowedError: an area does not answer in time.
+            InvalidInputError: an id belongs to no area. Meters that this call switched off are on again.
+            NotFollowedError: an area does not follow in time.
         """
         before = {area: self._off_in(area) for area in self.areas}
         self._give(
@@ -101,7 +107,7 @@ class Operator:
         )
         owners = self._owners()
         if unknown := [meter for meter in meters if meter not in owners]:
-            # Only the areas know their meters, so that the mistake shows when the others are off already.
+            # Only the areas know their meters, so the mistake shows after the other meters have been switched off.
             new = {area: self._off_in(area).intersection(meters) - before[area] for area in self.areas}
             self._give({area: _Order(meters_on=of_area) for area, of_area in new.items() if of_area})
             where = f"ids are in the area files of areas {listed(self.areas, MOST_NAMED)}"
@@ -111,11 +117,11 @@ class Operator:
         return {meter: owners[meter] for meter in meters}
 
     def switch_on(self, meters: Collection[str]) -> dict[str, str]:
-        """Have ``meters``, which are off, used again; meter -> area.
+        """Switches ``meters``, which are off, on again, and returns their areas: meter -> area.
 
         Raises:
-            InvalidInputError: one is not off.
-            NotFollowedError: its area does not answer in time.
+            InvalidInputError: a meter is not off.
+            NotFollowedError: an area does not follow in time.
         """
         owners = self._owners()
         if not_off := [meter for meter in meters if meter not in owners]:
@@ -126,10 +132,11 @@ class Operator:
         return {meter: owners[meter] for meter in meters}
 
     def scan(self) -> str:
-        """Have the plant make a new scan, or, where there is none, all areas take the newest readings; what was done.
+        """Has the plant make a new scan. Without a plant, all areas take the newest readings. Returns a line that says
+        which of the two was done, and in which areas.
 
         Raises:
-            NotFollowedError: an area does not show it in time.
+            NotFollowedError: an area does not show the new scan in time, or does not follow.
         """
         if PLANT not in self.watcher.names_of("plant"):
             self._give({area: _Order(scan=True) for area in self.areas})
@@ -143,10 +150,10 @@ class Operator:
         return f"{', '.join(self.areas)}: scan {max(self._state_of(area).header.scan for area in self.areas)}"
 
     def stop(self) -> list[str]:
-        """End the processes of all areas and the plant; who has ended.
+        """Ends the processes of all areas and of the plant, and returns their names.
 
         Raises:
-            NotFollowedError: one is still there.
+            NotFollowedError: an area or the plant is still on the bus at the end of the time limit.
         """
         plants = sorted(self.watcher.names_of("plant") & {PLANT})
         orders = {area: _Order(stop=True) for area in self.areas}
@@ -165,13 +172,14 @@ class Operator:
         find_left: Callable[[], Sequence[str]] | None = None,
         until: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Give ``orders`` (name -> what it is asked) until nobody is left who has not followed, or ``until`` holds.
+        """Repeats ``orders`` (name of an area or plant -> its order) until all have followed, or ``until`` holds.
 
-        An area follows only what is above the last that it has followed. Where another operator was faster, the order
-        is given again above that one: so none is lost when two operators act at once.
+        An area follows only an order with a number above that of the last one it has followed. Where another operator
+        was faster, the order is sent again with a number above the other's, so that no order is lost when two
+        operators act at once. ``find_left``: names that have not followed yet.
 
         Raises:
-            NotFollowedError: that is not so in time.
+            NotFollowedError: names are left at the end of the time limit.
         """
         before = {area: dict(self._state_of(area).rejected) for area in self.areas}
         numbers = {name: self._next_order(name) for name in orders}
@@ -199,8 +207,8 @@ class Operator:
         self._publishers[name](encode(message))
 
     def _next_order(self, name: str) -> tuple[Incarnation, int]:
-        """Above the last that ``name`` has followed, whatever the clock of that operator was; no other operator
-        gives it.
+        """Returns an order number above that of the last order that ``name`` has followed, even if the clock of that
+        operator ran ahead. Two operators do not give the same number: it holds the random part of this incarnation.
         """
         self._sequence += 1
         followed, own = self._followed_by(name), self._incarnation
@@ -214,7 +222,7 @@ class Operator:
         return Incarnation(start_ms, random), sequence
 
     def _explain(self, name: str, before: Mapping[str, int]) -> str:
-        """Why ``name`` does not follow; ``before``: what it had rejected by then."""
+        """Sentence on why ``name`` has not followed. ``before``: its counts of rejected messages before the command."""
         state = self.watcher.state_of(name)
         more = {r for r, count in (state.rejected if state else {}).items() if count > before.get(r, 0)}
         reasons = [f"{reason} ({cure})" for reason, cure in CURES.items() if reason in more]
@@ -230,5 +238,5 @@ class Operator:
         return set(self._state_of(area).meters_off)
 
     def _owners(self) -> dict[str, str]:
-        """Meter that is off -> its area."""
+        """Meters that are off: id -> area."""
         return {meter: area for area in self.areas for meter in self._state_of(area).meters_off}

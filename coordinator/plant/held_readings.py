@@ -1,4 +1,4 @@
-"""What meters that read at intervals have read last, as a gateway knows it between two of their readings."""
+"""The last readings of meters that read at intervals, as a gateway holds them between two readings of a meter."""
 
 from __future__ import annotations
 
@@ -8,24 +8,25 @@ from dsse_core.grid.measurement import Measurement, MeasurementKind
 from dsse_core.reading_rules import KindRule
 
 Held = tuple[dict[str, tuple[Measurement, ...]], dict[str, float]]
-"""Area -> its readings, and meter id -> when it was read."""
+"""Area -> its readings, and meter id -> the time of its reading, s."""
 
 
 class HeldReadings:
     """Keeps the readings of meters with an interval until the next ones are due.
 
-    ``rules``: kind of meter -> its rule. Intervals count from multiples of themselves, as meters in the field do.
+    ``rules``: kind of meter -> its rule. Intervals begin at multiples of their length, as those of meters in the field.
     """
 
     def __init__(self, rules: Mapping[MeasurementKind, KindRule]) -> None:
         self._periods = {kind: rule.period_s for kind, rule in rules.items() if rule.period_s}
-        self._interval: dict[MeasurementKind, int] = {}  # in which the meters of a kind read last
+        self._interval: dict[MeasurementKind, int] = {}  # kind -> number of the interval of its last readings
         self._held: dict[str, dict[str, tuple[Measurement, float]]] = {}
 
     def take(self, by_area: Mapping[str, Sequence[Measurement]], now: float) -> Held:
-        """All meters could be read ``now``, s: those that are due are, of the others the last reading stays.
+        """Readings at ``now``, s: new ones from ``by_area`` of the meters that are due, the last ones of the others.
 
-        A meter that is due and has no reading keeps its last one; one without interval has none then.
+        A meter that is due and has no reading in ``by_area`` keeps its last one. A meter without an interval has a
+        reading only when ``by_area`` has one.
         """
         interval = {kind: int(now // period_s) for kind, period_s in self._periods.items()}
         due = {kind for kind, number in interval.items() if self._interval.get(kind) != number}

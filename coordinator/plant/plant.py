@@ -30,7 +30,7 @@ from dsse_core.errors import DsseError
 
 log = logging.getLogger(__name__)
 SILENT, RESUME = operating_system.USER_1, operating_system.USER_2
-# At once a plant sends so many bytes, then it waits: what the bus has no room for it drops, until the next heartbeat
+# A plant sends at most BURST bytes at once, then waits: the bus drops what it has no room for until the next heartbeat
 BURST, RATE = 2**16, 16 * 2**20  # bytes, bytes per second
 
 
@@ -44,15 +44,16 @@ def run_plant(
     keys: Path | None = None,
     direct: bool = False,
 ) -> int:
-    """Publish ``scans`` for ``run`` until SIGTERM or Ctrl-C; 0, or 2 after a user's mistake.
+    """Publishes ``scans`` for ``run`` until SIGTERM or Ctrl-C, and returns the exit code.
 
-    3 if another plant of the run began later, 4 if the operator has stopped it.
+    Exit codes: 0 after an orderly end, 2 after a user's mistake, 3 if another plant of the run began later, 4 if the
+    operator has stopped the plant.
 
-    An area is served when it appears and then at every heartbeat: it subscribes before it shows itself. ``scan``: above
-    that of any plant before it in the same run. ``every_s``: time from one scan to the next; None: there is one only.
-    Signal ``SILENT`` makes it publish nothing until signal ``RESUME``. ``keys``: folder of the plant's credentials.
-    ``direct``: ``endpoints`` are those of all areas, not of routers. If no area shows itself for ``timeout_s``, a
-    warning says so.
+    An area is served when it appears, and then at every heartbeat. It subscribes before it appears. ``scan``: number of
+    the first scan, above those of all earlier plants of the run. ``every_s``: time from one scan to the next; None for
+    a single scan. Signal ``SILENT`` makes the plant publish nothing until signal ``RESUME``. ``keys``: folder of the
+    plant's credentials. ``direct``: ``endpoints`` are those of all areas, not of routers. If no area appears for
+    ``timeout_s``, the plant logs a warning.
     """
     start_log()
     inbox = Inbox()
@@ -95,8 +96,8 @@ def run_plant(
 
 
 def _subscribe(session: Session, run: str, areas: Sequence[str], inbox: Inbox) -> None:
-    """Have the presence of ``areas`` and of other plants, and the operator's commands, put into ``inbox``."""
-    for area in areas:  # each by its name: what strangers announce is not even sent here
+    """Puts the presence of ``areas`` and of other plants, and the operator's commands, into ``inbox``."""
+    for area in areas:  # each by its name, so that the bus does not deliver the tokens of unknown senders
         session.watch_presence(
             all_incarnations(run, "area", area),
             lambda key, alive: inbox.put(name_of_live(key), key) if alive else None,
@@ -107,21 +108,21 @@ def _subscribe(session: Session, run: str, areas: Sequence[str], inbox: Inbox) -
 
 @dataclass(frozen=True, slots=True)
 class _CommandReceived:
-    """What arrived on the key of the operator's commands."""
+    """A payload received on the key of the operator's commands."""
 
     payload: bytes
 
 
 @dataclass
 class _NoAreaWarning:
-    """Warns once that no area is received ``until`` then, which may be as it should: areas may be started later."""
+    """Warns once if no area has appeared by ``until``. This may be intended: areas may be started later."""
 
     until: float = math.inf
     where: str = ""
     endpoints: Sequence[str] = ()
 
     def check(self, areas: Sequence[str], now: float) -> None:
-        """``areas`` have just shown themselves."""
+        """Takes in ``areas``, which have just appeared; warns if there are none and ``until`` has passed."""
         if areas:
             self.until = math.inf
         elif now >= self.until:
@@ -131,7 +132,7 @@ class _NoAreaWarning:
 
 @dataclass
 class _PlantLoop:
-    """Publishes one scan after the other. While it is silent it publishes nothing and keeps time."""
+    """Publishes one scan after the other. While silent, it publishes nothing, and its scans go on in time."""
 
     publishers: Mapping[str, Callable[[bytes], None]]
     inbox: Inbox
@@ -143,13 +144,13 @@ class _PlantLoop:
     silent: bool = False
     no_area: _NoAreaWarning = field(default_factory=_NoAreaWarning)
     watchdog: Watchdog = field(default_factory=Watchdog)
-    _newest: dict[str, bytes] = field(default_factory=dict)  # area -> the readings that have come in
-    _due: dict[str, None] = field(default_factory=dict)  # areas to be served, in this order; a new scan goes on with it
+    _newest: dict[str, bytes] = field(default_factory=dict)  # area -> its newest readings that are not late
+    _due: dict[str, None] = field(default_factory=dict)  # areas to be served, in this order; kept from scan to scan
 
     def publish_scan(self, payloads: Mapping[str, bytes], late_s: Mapping[str, float], duration_s: float) -> bool:
-        """Publish one scan at every heartbeat for ``duration_s``, or until another is asked for; whether to stop.
+        """Publishes one scan at every heartbeat for ``duration_s``, or until another is ordered. True: stop the plant.
 
-        ``late_s``: area -> by how much its readings come late; until then the former ones are repeated.
+        ``late_s``: area -> delay of its readings, s; until then its former ones are repeated.
 
         Raises:
             ReplacedError: another plant of the run began later.
@@ -188,7 +189,9 @@ class _PlantLoop:
         return self.orders.take(command.payload, time.time())
 
     def _publish_due(self, payloads: Mapping[str, bytes], late_s: Mapping[str, float], elapsed_s: float) -> int:
-        """Publish the newest readings of the areas that are due next, one or many small ones; their bytes."""
+        """Publishes the newest readings of the next areas that are due, up to ``BURST`` bytes and the message that
+        exceeds them. Returns the bytes sent.
+        """
         n_bytes = 0
         while self._due and n_bytes < BURST:
             area = next(iter(self._due))
@@ -207,7 +210,7 @@ class _PlantLoop:
         self.guard.check(now)
 
     def follow_signals(self) -> None:
-        """Fall silent at signal ``SILENT``, publish again at ``RESUME``."""
+        """Installs the handlers: silent from signal ``SILENT`` on, publishing again from ``RESUME`` on."""
         numbers = [number for number in (SILENT, RESUME) if number is not None]
         for number in numbers:
             signal.signal(number, self._on_signal)

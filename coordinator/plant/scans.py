@@ -1,4 +1,4 @@
-"""What a plant publishes: scans that it makes itself, or one that was made for it and stays."""
+"""Scans that a plant publishes: made by the plant itself, or a single one made for it that stays."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ from scenarios.telemetry import Telemetry, find_lateness, make_telemetry
 
 
 class Scans(Protocol):
-    """``seed``: of their noise; ``heartbeat_s``: interval at which a scan is repeated; ``split``: of their scenario."""
+    """Interface of the scans of a plant.
+
+    ``seed``: of their noise. ``heartbeat_s``: interval at which a scan is repeated. ``split``: of their scenario.
+    """
 
     @property
     def seed(self) -> int: ...
@@ -35,13 +38,13 @@ class Scans(Protocol):
         ...
 
     def late_s(self, scan: int) -> Mapping[str, float]:
-        """Area -> by how much its readings come late."""
+        """Area -> delay of its readings, s."""
         ...
 
 
 @dataclass(frozen=True)
 class OwnScans:
-    """Made from ``scenario``; ``many``: each scan has noise of its own. Meters read at their intervals."""
+    """Scans made from ``scenario``. ``many``: each scan has noise of its own. Meters read at their intervals."""
 
     scenario: Scenario
     many: bool
@@ -76,10 +79,10 @@ class OwnScans:
 
 @dataclass(frozen=True)
 class MadeScan:
-    """The readings of one scan: of a large grid they are passed on in a tenth of the time that its scenario takes.
+    """The readings of one scan. On a large grid, passing them on takes a tenth of the time that the scenario takes.
 
-    Area -> its ``readings``, pickled: kept for a restart they take a quarter of the memory. They are measured when a
-    plant asks for them: the grid stands still.
+    ``readings``: area -> its readings, pickled, which takes a quarter of the memory while they are kept for a restart.
+    Their time of measurement is the time at which a plant asks for them, because the state of the grid is constant.
     """
 
     readings: Mapping[str, bytes]
@@ -90,7 +93,7 @@ class MadeScan:
 
     @classmethod
     def of(cls, scenario: Scenario, telemetry: Telemetry) -> MadeScan:
-        """``telemetry`` of the only scan of ``scenario``."""
+        """The only scan of ``scenario``, from its ``telemetry``."""
         now = time.time()
         readings = {area: pickle.dumps(read(part, now)) for area, part in telemetry.by_area.items()}
         return cls(readings, find_lateness(scenario, DRAW), scenario.seed, scenario.run.beat_s, find_split(scenario))

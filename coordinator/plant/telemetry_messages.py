@@ -1,4 +1,4 @@
-"""One scan of readings as telemetry messages: of the plant's process and of the simulator alike."""
+"""One scan of readings as telemetry messages, for the plant's process and for the simulator."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DRAW = 1  # of the noise: the same readings for the same seed
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """What the meters of one area have read at ``times``, s since 1970; p.u. and rad."""
+    """Readings of the meters of one area at ``times``, s since 1970; p.u. and rad."""
 
     meters: tuple[str, ...]
     values: tuple[float, ...]
@@ -35,7 +35,10 @@ class Readings:
 
 
 def read(measurements: Sequence[Measurement], measured_at: float | Mapping[str, float]) -> Readings:
-    """Virtual measurements are no readings: agents know them. ``measured_at``: when, of all or by id of the meter."""
+    """Readings of ``measurements`` without the virtual ones, which agents add themselves.
+
+    ``measured_at``: time of measurement, s since 1970, of all or by id of the meter.
+    """
     real = np.flatnonzero(~find_virtual(read_meters_of(measurements)))
     readings = take_items(measurements, real)
     ids = tuple(list_ids(read_meters_of(readings)))
@@ -55,7 +58,7 @@ def make_payloads(
     draw: int = DRAW,
     split: SplitIdentity = NO_SPLIT,
 ) -> dict[str, bytes]:
-    """Area -> its encoded readings with noise ``draw``; ``split``: of ``scenario``, to be stated."""
+    """Area -> its encoded readings with noise ``draw``. ``split``: of ``scenario``, stated in the messages."""
     by_area = make_telemetry(scenario, draw).by_area
     now = time.time()
     return encode_readings(((area, read(part, now)) for area, part in by_area.items()), run, incarnation, scan, split)
@@ -68,7 +71,7 @@ def encode_readings(
     scan: int,
     split: SplitIdentity = NO_SPLIT,
 ) -> dict[str, bytes]:
-    """Area -> its ``readings`` as an incarnation of the plant publishes them; ``split``: of its scenario."""
+    """Area -> its ``readings``, encoded as an incarnation of the plant publishes them. ``split``: of its scenario."""
     header = Header(run=run, sender=PLANT, incarnation=incarnation, scan=scan, sequence=scan, time=time.time())
     return {area: encode(_message(header, area, part, split)) for area, part in readings}
 

@@ -1,5 +1,5 @@
-"""``dsse compile``: fills the place of compiled code ahead of the first run, for an image or by an administrator; and
-what a command on a large network leaves there for the next one."""
+"""``dsse compile``: compiles the solvers ahead of the first run, for an image or by an administrator. A command on a
+large network that ran without compiled code compiles it for the next command."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from dsse_core.errors import InvalidInputError
 
 @dataclass(frozen=True, slots=True)
 class CompiledAhead:
-    """``folder``: where the code was kept; None: nothing had to be compiled. ``found_in``: where it is looked for."""
+    """``folder``: of the code compiled now; None: nothing to compile. ``found_in``: folders searched for code."""
 
     folder: str | None
     found_in: tuple[str, ...]
 
 
 def compile_for_next_time() -> None:
-    """Compile what this process has done without on a large network, in this process, and keep it."""
+    """Compiles the solvers that this process lacked on a large network, in this process, and keeps the code."""
     from agents.runtime.warm_up import warm_up_estimate, warm_up_sparse
 
     missed = compiling.take_done_without()
@@ -30,11 +30,11 @@ def compile_for_next_time() -> None:
 
 
 def compile_ahead() -> CompiledAhead:
-    """Compile all that can be, unless it is kept already.
+    """Compiles all solvers that are not kept yet.
 
     Raises:
         InvalidInputError: numba is not installed, or there is no safe folder to keep the code in.
-        OSError: code could not be written there.
+        OSError: the code could not be written to its folder.
     """
     if importlib.util.find_spec("numba") is None:
         problem = "numba is not installed, and nothing is compiled without it; pip install 'consensus-dsse[fast]'"

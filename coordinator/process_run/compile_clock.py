@@ -1,4 +1,4 @@
-"""When this command, or the parent of its processes, compiles: reported once, while no time limit runs."""
+"""Times at which this command, or the parent of its processes, compiles. Reported once; time limits stand still."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from dsse_core import compiling
 
 
 class CompileClock:
-    """Takes in, on any thread, when this process and the parent compile, and in which folder the code is kept.
+    """Notes, on any thread, the begin and the end of compiling in this process and in the parent of all processes.
 
-    ``notify``: called with one line for the user when that begins for the first time.
+    ``notify``: called with one line for the user when compiling begins for the first time.
     """
 
     def __init__(self) -> None:
@@ -23,7 +23,7 @@ class CompileClock:
         self._ended_at = -math.inf
 
     def take(self, begins: bool, folder: str | None) -> None:
-        """Compiling has begun, or ended."""
+        """Notes that compiling has begun, or ended. ``folder``: where the code is kept; None: nowhere."""
         with self._lock:
             self._under_way += 1 if begins else -1
             self._ended_at = time.monotonic()
@@ -33,13 +33,15 @@ class CompileClock:
             notify(describe_compiling(folder))
 
     def find_start(self, started: float) -> float:
-        """When the clock of what began at ``started`` starts: at the end of all compiling, which may be now; s."""
+        """Start of the time limit of an action begun at ``started``, monotonic, s: not before the end of all compiling,
+        and now while compiling is under way.
+        """
         with self._lock:
             return time.monotonic() if self._under_way else max(started, self._ended_at)
 
 
 def describe_compiling(folder: str | None) -> str:
-    """What takes so long, for the user."""
+    """Line for the user about the reason for the wait, and on whether it recurs."""
     once = (
         f"this happens once: the code is kept in {folder}"
         if folder

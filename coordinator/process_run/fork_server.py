@@ -1,11 +1,15 @@
 """The warmed parent: imports once what router, plant and agents need, then forks each of them in milliseconds.
 On a system without fork it starts ordinary processes instead, which import for themselves.
 
-It obeys the coordinator over one socket. A coordinator that ends in order has its processes stopped; one
-that is killed stops nothing, unless it has bound them to its life: the areas go on until SIGTERM, SIGINT or SIGHUP to
-this process, which then stops them; if this process is killed, they end by themselves. It holds no thread and no Zenoh
-session, so forking is safe. It and its children are one process group of their own, so that Ctrl-C in a terminal
-reaches the coordinator only.
+The parent obeys the coordinator over one socket:
+
+- A coordinator that ends in order has its processes stopped.
+- A coordinator that is killed stops nothing, unless it has bound the processes to its life: the areas go on until
+  SIGTERM, SIGINT or SIGHUP reaches the parent, which then stops them.
+- If the parent is killed, its children end by themselves.
+
+The parent holds no thread and no Zenoh session, so forking is safe. The parent and its children are one process group,
+so that Ctrl-C in a terminal reaches the coordinator only.
 """
 
 from __future__ import annotations
@@ -35,7 +39,7 @@ from dsse_core.code_places import Whole, find_folder_to_keep_in, has_whole
 from dsse_core.printable import printable_lines
 
 STOP_S = 5.0  # from SIGTERM to SIGKILL
-STOP_ALL_S = 2 * STOP_S  # first those whom routers serve, then the routers
+STOP_ALL_S = 2 * STOP_S  # the processes that routers serve first, then the routers
 PARENT = "parent of all processes"
 MODULE = "coordinator.process_run.fork_server"
 SPAWNED = "lifeline:"  # before the number of the lifeline's end, in the arguments of a process that is not forked
@@ -48,7 +52,7 @@ IO_ERROR_CODE = 74  # exit code of a process that could not write or read a file
 
 @dataclass(frozen=True, slots=True)
 class Preload:
-    """Import these modules, and call what of them stands behind a colon ("module:function") with ``arguments``."""
+    """Import the modules of ``targets``. Of "module:function", also call the function with ``arguments``."""
 
     targets: tuple[str, ...]
     arguments: tuple[Any, ...] = ()
@@ -56,10 +60,10 @@ class Preload:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Fork process ``name``: it calls ``target`` ("module:function") and exits with what that returns.
+    """Fork process ``name``, which calls ``target`` ("module:function") and exits with the code that it returns.
 
-    ``arguments``: pickled, so that only the process itself spends time on them. ``stop_last``: it is stopped when
-    the others have ended. ``nice``: by how much it gives way to this parent and to who is less nice.
+    ``arguments``: pickled, so that only the process itself spends time on them. ``stop_last``: the process is stopped
+    when the others have ended. ``nice``: niceness added to the process.
     """
 
     name: str
@@ -72,7 +76,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """Send signal ``number`` to process ``name``; nothing where it has ended."""
+    """Send signal ``number`` to process ``name``; no effect if the process has ended."""
 
     name: str
     number: int
@@ -80,7 +84,7 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class Bind:
-    """Stop all children and exit as soon as there is no coordinator any more."""
+    """Stop all children and exit as soon as the coordinator has ended."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +114,7 @@ class Ended:
 
 @dataclass(frozen=True, slots=True)
 class Compiling:
-    """To the coordinator: the parent begins or ends to compile; ``folder``: where the code is kept, None: nowhere."""
+    """To the coordinator: the parent begins or ends compiling. ``folder``: where the code is kept; None: nowhere."""
 
     begins: bool
     folder: str | None
@@ -123,14 +127,16 @@ class ForkServer:
     orders: Connection[Any, Any]
     children: dict[int, Start] = field(default_factory=dict)  # by pid
     stopped: bool = False
-    signalled: int = 0  # by which signal it was ordered to stop, if by one
+    signalled: int = 0  # number of the signal that ordered the stop; 0: none
     bound: bool = False  # to the life of the coordinator
     lifeline: Lifeline = field(default_factory=Lifeline)
     _compiler: int = 0  # process id, while there is one
     _spawned: dict[int, subprocess.Popen[bytes]] = field(default_factory=dict)  # by pid, where nothing is forked
 
     def serve(self) -> None:
-        """Obey until ordered to stop or until a signal of ``ENDS``; without a coordinator, until no child is left."""
+        """Obeys until an order to stop or a signal of ``ENDS``. If the coordinator has ended without binding its
+        processes: until no child is left. Then stops all children.
+        """
         wake_read, wake_write = os.pipe()
         os.set_blocking(wake_read, False)
         os.set_blocking(wake_write, False)
@@ -141,7 +147,7 @@ class ForkServer:
             if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
                 signal.signal(number, self._stop)
         operating_system.unblock(ENDS)  # which the coordinator has blocked until now
-        # inherited: orders to a process wait until it knows what to do at them; unexpected, they would end it
+        # children inherit the mask: these signals wait until a process has its handlers, and would end it before
         operating_system.block(n for n in (operating_system.USER_1, operating_system.USER_2) if n is not None)
         self._inherited = (wake_read, wake_write)
         compiling.listen(lambda begins, folder: self._report(Compiling(begins, folder)))
@@ -158,7 +164,7 @@ class ForkServer:
                         self._obey(self.orders.recv())
                     except (EOFError, ConnectionError):
                         orphaned, self.stopped = True, self.stopped or self.bound
-                        _redirect(Path(os.devnull))  # who reads the coordinator's pipes shall see their end
+                        _redirect(Path(os.devnull))  # readers of the coordinator's pipes must see their end
         finally:
             if self.signalled:  # before the ends of the children, which follow from it
                 self._report(Ended(PARENT, os.getpid(), -self.signalled))
@@ -179,11 +185,11 @@ class ForkServer:
                         self._compile_in_child(target)
                         if not self.stopped:
                             getattr(imported, function)(*arguments)
-                gc.collect()  # what no child needs is freed once, not as copied pages in each of them
+                gc.collect()  # garbage is freed once here, not as copied pages in each child
                 gc.freeze()  # the children share these pages as long as no collector touches them
             case Start():
                 pid = self._fork(order) if operating_system.HAS_FORK else self._spawn(order)
-                self.children[pid] = replace(order, arguments=b"")  # what is forked later shall not inherit them
+                self.children[pid] = replace(order, arguments=b"")  # children forked later must not inherit them
                 self._report(Started(order.name, pid))
             case Signal(name, number):
                 for pid, child in self.children.items():
@@ -195,10 +201,10 @@ class ForkServer:
                 self.stopped = True
 
     def _compile_in_child(self, target: str) -> None:
-        """Have a process of its own compile what ``target`` needs, if it is not kept yet but can be.
+        """Forks a process that compiles the code of ``target``, if the code is not kept yet and a folder can keep it.
 
-        This one loads it then. Had it compiled, what a compiler leaves in memory would be in all its children, each of
-        which makes 6 MiB of it its own, page by page.
+        The parent then loads the kept code. If the parent compiled, all its children would inherit the memory of the
+        compiler, and each of them would copy 6 MiB of it, page by page.
         """
         what = COMPILES.get(target)
         if not operating_system.HAS_FORK or what is None or has_whole(what) or find_folder_to_keep_in() is None:
@@ -206,11 +212,14 @@ class ForkServer:
         self._compiler = operating_system.fork()
         if self._compiler == 0:
             self._become_compiler(target)
-        os.waitpid(self._compiler, 0)  # should it fail, this process compiles
+        os.waitpid(self._compiler, 0)  # if it fails, the parent compiles
         self._compiler = 0
 
     def _become_compiler(self, target: str) -> NoReturn:
-        """In the child: tell the coordinator, which this parent does not do meanwhile, when it compiles; then exit."""
+        """Turns the forked child into the compiler: calls ``target``, reports compiling to the coordinator, and exits.
+
+        The parent waits meanwhile, and reports nothing.
+        """
         try:
             _take_signals()
             self.lifeline.hold(0.0, STOP_S)
@@ -235,16 +244,16 @@ class ForkServer:
             os.close(fd)
 
     def _spawn(self, order: Start) -> int:
-        """Start an ordinary process, which imports for itself what a forked one has from this parent."""
+        """Starts an ordinary process, which imports itself the modules that a forked one inherits; returns its id."""
         end = self.lifeline.end
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", MODULE, f"{SPAWNED}{end}", *sys.argv[2:]],  # the mark comes last
             pass_fds=[end],
             stdin=subprocess.PIPE,
         )
-        self._spawned[process.pid] = process  # kept until it has ended: ``subprocess`` reaps what is dropped before
+        self._spawned[process.pid] = process  # kept until its end: ``subprocess`` reaps a process without reference
         assert process.stdin is not None
-        with contextlib.suppress(BrokenPipeError), process.stdin:  # it has died already, as its end will say
+        with contextlib.suppress(BrokenPipeError), process.stdin:  # the process has died; its end is reported later
             pickle.dump(order, process.stdin)
         return process.pid
 
@@ -258,11 +267,13 @@ class ForkServer:
             self._report(Ended(self.children.pop(pid).name, pid, code))
 
     def _report(self, update: Started | Ended | Compiling) -> None:
-        with contextlib.suppress(OSError):  # nobody listens any more; the next receive says so
+        with contextlib.suppress(OSError):  # the coordinator has ended; the next receive shows it
             self.orders.send(update)
 
     def _stop_children(self) -> None:
-        """SIGTERM to all but the routers, then to the routers, so that agents say goodbye on a bus that works."""
+        """Sends SIGTERM to all children but the routers, then to the routers, so that agents can still publish that
+        they leave. Sends SIGKILL to children that are left after ``STOP_S`` each.
+        """
         for last in (False, True):
             deadline = time.monotonic() + STOP_S
             group = [pid for pid, child in self.children.items() if child.stop_last == last]
@@ -280,7 +291,7 @@ class ForkServer:
 
 
 def become(order: Start, lifeline: Lifeline, leave_parent: Callable[[], None] = lambda: None) -> NoReturn:
-    """In the child: leave everything of the parent behind, call the target, exit."""
+    """Turns the child into the process of ``order``: leaves the parent's state behind, calls the target, exits."""
     code = 1
     try:
         operating_system.be_nice(order.nice)
@@ -291,7 +302,7 @@ def become(order: Start, lifeline: Lifeline, leave_parent: Callable[[], None] = 
         code = _call(order)
         logging.shutdown()
         sys.stdout.flush()
-    except OSError as error:  # if the disk is full, these words find no room either: the code says it, too
+    except OSError as error:  # on a full disk the message cannot be written either; the exit code tells it, too
         code = IO_ERROR_CODE
         where = f"{error.filename}: " if error.filename else ""
         _write_last(f"error: {where}{error.strerror or error}; make room there, or choose another place\n")
@@ -302,7 +313,7 @@ def become(order: Start, lifeline: Lifeline, leave_parent: Callable[[], None] = 
 
 
 def _take_signals() -> None:
-    """In a child: signals end it, as they would any process, unless they are ignored, as nohup has it."""
+    """Restores, in a child, the default actions of the signals that end it, except signals ignored, as under nohup."""
     signal.set_wakeup_fd(-1)
     for number in filter(None, (operating_system.CHILD, *ENDS)):
         if signal.getsignal(number) != signal.SIG_IGN:
@@ -310,13 +321,13 @@ def _take_signals() -> None:
 
 
 def _write_last(text: str) -> None:
-    """Write to standard error past all buffers, which may hold what could not be written."""
+    """Writes to standard error directly, because the buffers may hold text that could not be written."""
     with contextlib.suppress(OSError):
         os.write(sys.stderr.fileno(), printable_lines(text).encode(errors="backslashreplace"))
 
 
 def _redirect(log: Path) -> None:
-    """Standard output and error go to ``log``, standard input is empty."""
+    """Directs standard output and error to ``log``, and makes standard input empty."""
     nothing = os.open(os.devnull, os.O_RDONLY)
     file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     for source, target in ((nothing, 0), (file, 1), (file, 2)):
@@ -338,7 +349,7 @@ def _call(order: Start) -> int:
         return request.code or 0
 
 
-if __name__ == "__main__":  # arguments: the socket; the mark by which `dsse stop` knows it and what it starts
+if __name__ == "__main__":  # arguments: the socket; the mark by which `dsse stop` finds this process and its children
     from coordinator.process_run import fork_server
 
     if sys.argv[1].startswith(SPAWNED):

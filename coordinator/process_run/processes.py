@@ -1,4 +1,4 @@
-"""The coordinator's end of the warmed parent: start processes, learns of their end, leave none behind."""
+"""The coordinator's end of the warmed parent: starts processes, receives their ends, leaves none behind."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ ONE_THREAD = {
     name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 }
 FILES_OF_A_PROCESS = 32  # beside one for the link of each area; measured: a router with three areas runs with 24
-# glibc's allocator: one heap for all threads, and what is free goes back to the system; the matrices of an area of 500
-# buses stay below the limit, or each of them would be made of cleared pages
+# glibc's allocator: one heap for all threads, and free memory goes back to the system. The matrices of an area of 500
+# buses stay below the limit; above it, each of them would be made of freshly cleared pages
 ONE_HEAP = {"MALLOC_ARENA_MAX": "1", "MALLOC_TRIM_THRESHOLD_": str(LARGE), "MALLOC_MMAP_THRESHOLD_": str(LARGE)}
 MAX_WAITING = 100_000  # updates, and
 MOST_BYTES = 64 * 2**20  # of messages in them
@@ -55,10 +55,10 @@ class LaunchError(DsseError):
 
 
 class Launcher:
-    """Starts the processes of a run from one warmed parent; leaving its block stops all of them.
+    """Starts the processes of a run from one warmed parent. Leaving the block stops all of them.
 
-    ``update``, if given, is called with every ``Started`` and ``Ended``, on a thread of its own. ``bound``: whether the
-    processes end with this one if it is killed, too; else they go on.
+    ``update``, if given, is called with every ``Started`` and ``Ended``, on a thread of its own. ``bound``: the
+    processes also end if this process is killed; otherwise they go on.
     """
 
     def __init__(self, update: Callable[[Started | Ended], None] | None = None, *, bound: bool = False) -> None:
@@ -68,10 +68,10 @@ class Launcher:
         self.mark = secrets.token_hex(8)  # in the command lines of all its processes
         self._orders, theirs = Pipe()
         path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
-        # inherited: until it knows what to do at them, signals that end it wait
+        # the parent inherits the mask: signals that end it wait until it has its handlers
         with operating_system.blocked(ENDS):
             self._fork_server = subprocess.Popen(
-                # -P: a folder of the user's called "agents" or "scenarios" must not stand in for ours
+                # -P: a folder "agents" or "scenarios" of the user must not replace the package of this name
                 [sys.executable, "-P", "-m", MODULE, str(theirs.fileno()), self.mark],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
@@ -102,36 +102,36 @@ class Launcher:
         return self._fork_server.pid
 
     def preload(self, *targets: str, arguments: tuple[Any, ...] = ()) -> None:
-        """Have the parent import modules ("module"), or call functions ("module:function") with ``arguments``, now."""
+        """Has the parent import modules ("module"), or call functions ("module:function") with ``arguments``, now."""
         self._send(Preload(targets, arguments))
 
     def start(self, name: str, target: str, *arguments: Any, log: Path, stop_last: bool = False, nice: int = 0) -> None:
         """Start process ``name``, which calls ``target`` ("module:function") and writes its output to ``log``.
 
-        ``stop_last``: on leaving, stop it after the others. ``nice``: by how much it gives way to the others.
+        ``stop_last``: stopped after the others when the block ends. ``nice``: niceness added to the process.
         """
         self._any_started = True
         self._send(Start(name, target, pickle.dumps(arguments), log, stop_last, nice))
 
     def signal(self, name: str, number: int | None) -> None:
-        """Send a signal to process ``name``; nothing happens where it has ended.
+        """Sends a signal to process ``name``; no effect if the process has ended.
 
         Raises:
-            LaunchError: ``number`` is None, as of a signal that this system lacks.
+            LaunchError: ``number`` is None, because this system lacks the signal.
         """
         if number is None:
             raise LaunchError(f"this system has no signal that pauses or silences {name}; use `dsse simulate`")
         self._send(Signal(name, number))
 
     def stop(self) -> None:
-        """Tell every process to end, and do not wait for it."""
+        """Orders every process to end, without waiting for the end."""
         if self._any_started and not self._stopping:
             self._stopping = True
             with contextlib.suppress(LaunchError):
                 self._send(Stop())
 
     def close(self) -> None:
-        """Stop every process and wait for their end; later calls do nothing."""
+        """Stops every process and waits for their ends; later calls do nothing."""
         if self._closed:
             return
         self._closed = True
@@ -170,7 +170,7 @@ class Launcher:
                     clock.take(update.begins, update.folder)
                     continue
                 reported_end |= update.name == PARENT
-                self.on_update(update)  # looked up now: it may have been set while we waited
+                self.on_update(update)  # looked up now: it may have been set during the wait
         except (EOFError, OSError):
             if compiles:
                 clock.take(False, None)
@@ -179,7 +179,7 @@ class Launcher:
 
 
 def check_open_files(areas: int) -> None:
-    """Raise LaunchError if a process may not open as many files as the links of ``areas`` need."""
+    """Raises LaunchError if a process may not open as many files as the links of ``areas`` areas need."""
     limit, needed = operating_system.find_limit_of_open_files(), FILES_OF_A_PROCESS + areas
     if limit is not None and limit < needed:
         raise LaunchError(
@@ -189,14 +189,14 @@ def check_open_files(areas: int) -> None:
 
 
 def describe_end(code: int) -> str:
-    """How a process ended, in words."""
+    """The end of a process in words, from its exit code; a negative code is a signal."""
     if code == IO_ERROR_CODE:
         return f"exit code {code}, as a file could not be written or read; is the disk full?"
     return f"exit code {code}" if code >= 0 else f"signal {operating_system.name_signal(-code)}"
 
 
 def read_end(log: Path, lines: int = 24, width: int = 160) -> str:
-    """The last lines of a log file, long ones cut off."""
+    """The last ``lines`` lines of a log file, cut at ``width`` characters; empty if it cannot be read."""
     try:
         last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-lines:]
     except OSError:
@@ -213,7 +213,7 @@ class _Sized:
 
 
 class Updates(queue.SimpleQueue[Any]):
-    """What arrives from bus and processes, in order, for the one loop of the coordinator."""
+    """Updates from bus and processes in the order of arrival, for the single loop of the coordinator."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -221,9 +221,9 @@ class Updates(queue.SimpleQueue[Any]):
         self._bytes = 0  # of messages that wait
 
     def offer(self, item: Any, *, sent_once: bool = False, size: int = 0) -> None:
-        """Leave it, or drop it where too much waits: what every heartbeat repeats goes first.
+        """Adds ``item``, or drops it where too much waits. Items that every heartbeat repeats are dropped first.
 
-        ``size``: bytes of the message that it is, and of its key.
+        ``sent_once``: the item is not repeated, and has twice the room. ``size``: bytes of its message and key.
         """
         with self._lock:
             share = 2 if sent_once else 1
@@ -232,9 +232,9 @@ class Updates(queue.SimpleQueue[Any]):
                 self.put(_Sized(size, item) if size else item)
 
     def take(self, timeout_s: float) -> list[Any]:
-        """Wait up to ``timeout_s`` for something; everything that has arrived by then.
+        """Waits up to ``timeout_s`` for an item, and returns all items that have arrived by then.
 
-        What comes meanwhile waits for the next time: else a flood would have no end.
+        Items that arrive during the call are left for the next one, so that the call ends under a flood of messages.
         """
         try:
             first = self.get(timeout=max(0.0, timeout_s))

@@ -1,7 +1,7 @@
-"""What the warmed parent of many areas goes through before it forks them: one estimate of three areas of a feeder.
+"""Rehearsal of the warmed parent before it forks many areas: one estimate of a feeder of three areas.
 
-What comes into being when code first runs is there then: caches of types and patterns, bytecode made for what it meets,
-modules that are imported late. Else it would come into being in each of hundreds of agents, which copy the pages.
+The first run of code creates caches of types and patterns, specialised bytecode and late imports. After the rehearsal
+the parent has them. Otherwise each of hundreds of agents would create them, and copy the memory pages.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.grid.partition import Partition
 
-PREFIX = "dsse-rehearsal-"  # how the folders of its area files begin
+PREFIX = "dsse-rehearsal-"  # of the names of the folders of its area files
 AREAS = ("first", "second", "third")
 LARGEST = 61  # buses of an area; larger ones are computed by the same code
 SETTLING_S = 0.5  # of virtual time: an estimate, and what is repeated after it
@@ -30,9 +30,9 @@ SIGMA = 0.01
 
 
 def rehearse(strategy: str, n_bus: int) -> dict[str, str]:
-    """Estimate a feeder of three areas of ``n_bus`` buses each, ``LARGEST`` at most; area -> its quality.
+    """Estimates a feeder of three areas of ``n_bus`` buses each, ``LARGEST`` at most. Returns area -> quality.
 
-    A strategy that fails here fails in its area, too, which says so.
+    Returns an empty table if the strategy fails; it then fails in its area, too, where the failure is reported.
     """
     with contextlib.suppress(Exception):
         return _estimate(strategy, _divide_feeder(min(n_bus, LARGEST)))
@@ -42,7 +42,7 @@ def rehearse(strategy: str, n_bus: int) -> dict[str, str]:
 def _estimate(strategy: str, partition: Partition) -> dict[str, str]:
     meters = partition.meters_by_area(_list_meters(partition.network))
     temporary, files = Path(tempfile.gettempdir()).absolute(), []
-    # what an earlier one has left: this process is killed without notice where the scenario turns out to be wrong
+    # left by an earlier rehearsal: this process is killed without notice when the check refuses the scenario
     remove_leftovers(temporary, PREFIX)
     with draft_folder(temporary, PREFIX) as folder:
         made = [
@@ -64,7 +64,7 @@ def _estimate(strategy: str, partition: Partition) -> dict[str, str]:
 
 
 def _divide_feeder(n_bus: int) -> Partition:
-    """A feeder without load, areas in a row, each of which begins at the last bus of the one before."""
+    """A feeder without load. Its areas form a row, and each begins at the last bus of the area before."""
     n = max(n_bus, 2)
     numbers = range(1, len(AREAS) * (n - 1) + 2)
     buses = tuple(Bus(i, 20.0) for i in numbers)

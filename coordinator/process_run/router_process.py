@@ -1,4 +1,4 @@
-"""The router as a small process, ``python -m coordinator.process_run.router_process``; all others visit it."""
+"""The router as a small process, ``python -m coordinator.process_run.router_process``; all others connect to it."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ AWAKE_S = 0.2  # a signal that a thread of Zenoh has caught is acted on when thi
 
 
 def main(argv: Sequence[str] | None = None, access: Access | None = None) -> int:
-    """Run a router until SIGTERM or Ctrl-C; 0 after an orderly end, 2 if it cannot listen.
+    """Runs a router until SIGTERM or Ctrl-C. Returns 0 after an orderly end, 2 if it cannot listen.
 
-    ``access``: who takes part in the run, if that is known and nobody has keys; nothing else passes then.
+    ``access``: the processes of the run and what they may publish, if they are known and the run has no keys. The
+    router then passes nothing else.
     """
     arguments = _build_parser().parse_args(argv)
     start_log()
@@ -81,7 +82,7 @@ def _build_parser() -> argparse.ArgumentParser:
 
 
 def _write_whole(path: Path, text: str) -> None:
-    """Write so that a reader sees all of it or nothing."""
+    """Writes ``text`` so that a reader sees all of it or nothing."""
     draft = path.with_name(path.name + ".part")
     draft.write_text(text, encoding="utf-8")
     os.replace(draft, path)

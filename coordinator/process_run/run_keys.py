@@ -1,4 +1,4 @@
-"""The keys made for one secured run: for nobody else's eyes, and gone with the run, however its processes end."""
+"""The keys made for one secured run: readable by this user alone, and removed after the run, even if it is killed."""
 
 from __future__ import annotations
 
@@ -17,14 +17,16 @@ NAME = re.compile(rf"{PREFIX}({MARK.pattern})-")
 
 @contextmanager
 def folder_of_keys(mark: str) -> Iterator[Path]:
-    """A folder for the keys of the run of ``mark``, removed at the end of the block; before, what killed runs left."""
+    """Makes a folder for the keys of the run of ``mark``, and removes it at the end of the block. Removes the keys of
+    killed runs first.
+    """
     remove_keys_of_dead_runs()
     with draft_folder(Path(tempfile.gettempdir()).absolute(), f"{PREFIX}{mark}-") as folder:
         yield folder
 
 
 def remove_keys_of_dead_runs() -> None:
-    """Remove the keys that killed runs of this user have left, if all of their processes have ended."""
+    """Removes the keys that killed runs of this user have left, if all processes of the run have ended."""
     remove_leftovers(Path(tempfile.gettempdir()), NAME.pattern, _is_used)
 
 

@@ -50,11 +50,11 @@ from scenarios.scenario import Scenario
 from scenarios.telemetry import Telemetry, expect_telemetry
 
 DAYS_OF_A_RUN = 1.0  # that the keys of one secured run are valid
-# From which on their parent rehearses, and the areas have cores and memory to themselves: readings are made when all
-# agents are there, and the centralised estimate after the verdict.
+# From this number of areas on, the parent of all processes rehearses, and the areas have cores and memory to
+# themselves: readings are made when all agents are on the bus, and the centralised estimate after the verdict.
 MANY_AREAS = 50
 JOIN_SHARE = 0.25  # or after this part of the time limit
-LOOK_SHARE = 0.05  # of the time of watching that may pass in looks at hundreds of areas, which need the cores to get on
+LOOK_SHARE = 0.05  # of the time of watching that checks may take; hundreds of areas need the cores
 INTERRUPTED = "interrupted"
 
 
@@ -70,7 +70,7 @@ def run_scenario(
     secure: bool = False,
     keys: str | Path | None = None,
 ) -> RunResult:
-    """Run ``scenario`` with the processes of ``launcher``; see ``coordinator.run``. ``started``: monotonic time."""
+    """Runs ``scenario`` with the processes of ``launcher``; see ``coordinator.run``. ``started``: monotonic time."""
     scenario = choose_scenario(scenario, seed, strategy, timeout_s)
     _preload(launcher, scenario)  # beside the check, which in a large grid takes as long
     plan = plan_with_strategy(scenario)
@@ -83,7 +83,7 @@ def run_scenario(
         run = RunUnderWay(scenario, run_id, folder, system, events, started, plan)
         parent = {"parent_pid": launcher.pid, "mark": launcher.mark}
         events.write("run started", None, run=run_id, scenario=scenario.name, seed=scenario.seed, **parent)
-        if events.failure:  # by this event `dsse stop` finds the processes, which so are not started
+        if events.failure:  # `dsse stop` finds the processes by this event: without it, no process is started
             raise LaunchError(f"{events.failure}; no process is started; choose another place, or make room there")
         listen_to_processes(run)
         run.note_time("scenario_loaded")
@@ -104,7 +104,7 @@ def run_scenario(
 
 
 def _preload(launcher: Launcher, scenario: Scenario) -> None:
-    """Have the parent of all processes import the strategy and its solvers, and of many areas rehearse an estimate."""
+    """Has the parent of all processes import the strategy and its solvers and, for many areas, rehearse an estimate."""
     launcher.preload("agents.strategies.installed:list_strategies", load_strategy(scenario.strategy).__module__)
     launcher.preload(*_find_solvers(scenario))
     if len(scenario.partition.areas) >= MANY_AREAS:
@@ -113,7 +113,7 @@ def _preload(launcher: Launcher, scenario: Scenario) -> None:
 
 
 def _find_solvers(scenario: Scenario) -> tuple[str, ...]:
-    """What of the compiled solvers the areas need, as targets of ``Launcher.preload``."""
+    """Compiled solvers that the areas need, as targets of ``Launcher.preload``."""
     areas = scenario.partition.areas
     exchange = any(needs_compiled_code(area) for area in areas)
     largest = max((len(area.network.buses) for area in areas), default=0)
@@ -126,9 +126,9 @@ def _find_solvers(scenario: Scenario) -> tuple[str, ...]:
 def _find_keys(
     scenario: Scenario, run_id: str, mark: str, at_the_end: ExitStack, secure: bool, keys: str | Path | None
 ) -> Path | None:
-    """The folder of credentials of a secured run, made for this run if none is given; None if it is not secured.
+    """The folder of credentials of a secured run, made for this run if none is given; None if the run is not secured.
 
-    What is made here is for nobody else's eyes, so it is no part of the result, and removed ``at_the_end``.
+    Credentials made here are secret: they are no part of the result, and are removed ``at_the_end``.
     """
     if keys is None and not secure:
         return None
@@ -143,12 +143,12 @@ def _find_keys(
     host = scenario.transport.listen.partition("/")[2].rpartition(":")[0]
     folder = at_the_end.enter_context(folder_of_keys(mark))
     create_keys(folder, access, DAYS_OF_A_RUN, [host.strip("[]")], direct=direct)
-    credentials_in(folder, AUTHORITY).key.unlink()  # nobody is to get a certificate later
+    credentials_in(folder, AUTHORITY).key.unlink()  # no certificate can be issued later
     return folder
 
 
 def _wait_for_router(run: RunUnderWay) -> str | None:
-    """Let a moment pass; the reason to give up, if a process has ended."""
+    """Waits a moment for updates. Returns the reason to give up if a process has ended, else None."""
     for item in run.updates.take(0.002):
         reason = take_process_update(run, item)
         if reason:
@@ -202,14 +202,16 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
 
 
 def _keep_compared(telemetry: Telemetry) -> Telemetry:
-    """``telemetry`` without what each area reads, which the plant has now, and what the truth has made for that."""
-    truth = telemetry.truth and replace(telemetry.truth)  # without its admittances: of a large grid they take most
+    """``telemetry`` without the readings of each area, which the plant has now, and without the admittances of the
+    truth, which were made for these readings.
+    """
+    truth = telemetry.truth and replace(telemetry.truth)  # the copy has no admittances, the largest part of the memory
     return replace(telemetry, by_area={}, truth=truth)
 
 
 def _find_centralised(run: RunUnderWay, telemetry: Telemetry, beside: Future[Centralised] | None) -> Centralised:
-    """That of ``telemetry``, from ``beside`` where it is made there. Ctrl-C ends the wait for it: what the areas have
-    found is written all the same.
+    """The centralised estimate of ``telemetry``, from ``beside`` if it is computed there. Ctrl-C ends the wait for the
+    estimate; the results of the areas are still written.
     """
     try:
         return beside.result() if beside else _estimate_centralised(run, telemetry)
@@ -234,8 +236,10 @@ def _watch(
     on_update: Callable[[Progress], None] | None,
     is_over: Callable[[], bool] = lambda: False,
 ) -> str | None:
-    """Take in updates until there is consensus, or ``is_over``, which costs little (None); or the reason why that is
-    not awaited.
+    """Takes in updates until there is consensus, or ``is_over`` holds, and returns None. Returns the reason if the run
+    ends before: a process has died, an area cannot become good, the time limit has passed, or Ctrl-C.
+
+    ``is_over``: called after every batch of updates, so it must be cheap.
     """
     check_s = min(run.scenario.run.beat_s / 10, UPDATE_S)
     next_check = next_update = 0.0
@@ -270,7 +274,9 @@ def _watch(
 
 
 def _carry_out_faults(run: RunUnderWay, observer: Observer, now: float) -> None:
-    """Do to the processes what the scenario says for this moment, and write it down; the links know by the clock."""
+    """Carries out the steps of the fault schedule that are due, and writes an event for each. Publishes the clock of
+    the run, by which the agents time the faults of their links.
+    """
     if run.joined is not None:
         run.clock.tick(now - run.joined)
         for step in run.schedule.carry_out(now - run.joined, partial(do_to_processes, run.system)):

@@ -1,4 +1,4 @@
-"""What is known of a run under way: what arrives from its processes and areas, and what is made of it."""
+"""Status of a run under way: updates from its processes and areas, and the record made of them."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class _PresenceSeen:
 
 @dataclass(frozen=True, slots=True)
 class ProcessUpdate:
-    """A process has started or ended; received at monotonic time ``at``."""
+    """The start or end of a process, received at monotonic time ``at``, s."""
 
     at: float
     update: Started | Ended
@@ -53,7 +53,7 @@ class ProcessUpdate:
 
 @dataclass
 class RunUnderWay:
-    """One run under way: its processes, what arrives from them, and what is known so far."""
+    """A run under way: its processes, the updates that wait, and the record of those taken in."""
 
     scenario: Scenario
     id: str
@@ -65,7 +65,7 @@ class RunUnderWay:
     updates: Updates = field(default_factory=Updates)
     presence: Presence = field(default_factory=Presence)
     rejected: Counter[str] = field(default_factory=Counter)  # by reason
-    joined: float | None = None  # when all areas were on the bus for the first time
+    joined: float | None = None  # monotonic time at which all areas were on the bus for the first time
     timing_s: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -80,12 +80,15 @@ class RunUnderWay:
 
 
 def listen_to_processes(run: RunUnderWay) -> None:
-    """Have starts and ends of processes put into the run's updates, each with the time at which it was received."""
+    """Puts starts and ends of processes into the run's updates, each with the time of its arrival."""
     run.system.launcher.on_update = lambda update: run.updates.put(ProcessUpdate(time.monotonic(), update))
 
 
 def listen(run: RunUnderWay, session: Session) -> None:
-    """Have states and presence put into the run's updates, each with the time of its arrival."""
+    """Puts states, readings and presence into the run's updates, states and presence with the time of their arrival.
+
+    Announces the coordinator on the bus, and lets the run's clock publish if faults of links have windows.
+    """
 
     areas = {area.name for area in run.scenario.partition.areas}
 
@@ -118,11 +121,11 @@ def listen(run: RunUnderWay, session: Session) -> None:
 
 
 def take_update(run: RunUnderWay, observer: Observer, item: object) -> str | None:
-    """Take in one update; the reason to end the run, if it is one."""
+    """Takes in one update. Returns the reason to end the run if the update is one, else None."""
     match item:
         case _StateReceived(at, state):
             is_new = state.header.run == run.id and observer.take_state(state, at)
-            if observer.states.get(state.header.sender) is state:  # neither a stranger's nor one that came too late
+            if observer.states.get(state.header.sender) is state:  # not from an unknown sender, and not outdated
                 run.states.take(state, at, is_new)
         case ReadingsMessage():
             run.used.take(item)
@@ -154,13 +157,13 @@ def take_update(run: RunUnderWay, observer: Observer, item: object) -> str | Non
 
 
 def note_duplicates(run: RunUnderWay, duplicates: Sequence[Duplicate], at: float) -> None:
-    """Write down who was found running twice."""
+    """Writes an event for each process that was found running twice."""
     for duplicate in duplicates:
         run.events.write("two at once", at, **asdict(duplicate))
 
 
 def take_process_update(run: RunUnderWay, item: ProcessUpdate) -> str | None:
-    """Write it down; an end is a reason to end the run."""
+    """Writes the event of a start or an end. Returns the reason to end the run after an end that was not ordered."""
     expected = run.system.note(item.update)
     match item.update:
         case Started(name, pid):
@@ -175,14 +178,14 @@ def take_process_update(run: RunUnderWay, item: ProcessUpdate) -> str | None:
 
 
 def _describe_log(log: Path) -> str:
-    """What the log of a process that has died ends with; nothing where it has none, as the parent of all."""
+    """Text with the last lines of the log of a process that has died; empty without a log, as for the parent of all."""
     if end := read_end(log):
         return f"; the end of its log {log}:\n{end}"
     return f"; its log {log} is empty" if log.exists() else ""
 
 
 def note_ends(run: RunUnderWay) -> None:
-    """Write down the orderly ends that arrived while stopping."""
+    """Writes the events of the starts and ends of processes that arrived during the stop."""
     for item in run.updates.take(0.0):
         if isinstance(item, ProcessUpdate):
             take_process_update(run, item)

@@ -1,4 +1,4 @@
-"""``dsse stop``: ends what is left of a run whose coordinator no longer does."""
+"""``dsse stop``: ends the processes that are left of a run whose coordinator is gone."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from dsse_core.files.bounded_parsing import parse_json
 from dsse_core.files.drafts import remove_leftovers
 
 PROC = Path("/proc")
-SPARE_S = 2.0  # that a process may take longer than it is allowed to
+SPARE_S = 2.0  # added to the time that a process has for its end
 RUN_FOLDER = "give the run folder of `dsse run`"
 MARK = re.compile("[0-9a-f]{16}")
 
@@ -33,7 +33,7 @@ class StopError(DsseError):
 
 @dataclass(frozen=True, slots=True)
 class StartedRun:
-    """What a run folder says of the processes of its run. ``mark``: stands in the command line of each."""
+    """The processes of a run, from its run folder. ``mark``: last word of the command line of each process."""
 
     id: str
     parent_pid: int
@@ -41,15 +41,15 @@ class StartedRun:
 
 
 def stop_run(folder: Path) -> tuple[StartedRun | None, int]:
-    """End what is left on this host of the run in ``folder``; the run, and how many processes that were.
+    """Ends the processes on this host that are left of the run in ``folder``. Returns the run and their count.
 
-    None for a run that was killed before it started a process. The parent of all is asked to stop all of them in order;
-    what is left after its time is up is asked itself, and then killed. A process is known by its command line: its
-    number may be another's by now. Files that its coordinator was writing are removed.
+    The run is None if it was killed before it started a process. The parent of all processes gets SIGTERM, and stops
+    them in order. Processes left after its time get SIGTERM themselves, then SIGKILL. Processes are identified by their
+    command lines, because another process may have their id by now. Unfinished files of the coordinator are removed.
 
     Raises:
         InvalidInputError: ``folder`` is not that of a run of processes.
-        StopError: processes are still there.
+        StopError: processes are still running.
     """
     if _is_of_no_process(folder):
         return None, 0
@@ -72,7 +72,7 @@ def stop_run(folder: Path) -> tuple[StartedRun | None, int]:
 
 
 def _is_of_no_process(folder: Path) -> bool:
-    """Whether ``folder`` is what a run leaves that was killed before its first event, which no process precedes."""
+    """True where ``folder`` is that of a run killed before its first event, and so before its first process."""
     try:
         entries = list(folder.iterdir())
         log = folder / EVENTS
@@ -81,14 +81,14 @@ def _is_of_no_process(folder: Path) -> bool:
             bool(entries) and not begun and all(e == log or (e.name in PARTS and not any(e.iterdir())) for e in entries)
         )
     except OSError:
-        return False  # as is reported when the log is read
+        return False  # the error is reported when the log is read
 
 
 def read_started_run(folder: Path) -> StartedRun:
-    """The run that ``folder`` is of, from the first line of its ``events.jsonl``.
+    """The run of the run folder ``folder``, from the first line of its ``events.jsonl``.
 
     Raises:
-        InvalidInputError: it cannot be read, or is not that of a run of processes.
+        InvalidInputError: the folder cannot be read, or is not that of a run of processes.
     """
     path = folder / EVENTS
     if missing := describe_missing(folder, EVENTS):
@@ -105,14 +105,14 @@ def read_started_run(folder: Path) -> StartedRun:
 
 
 def find_marked(mark: str) -> Iterator[int]:
-    """Process ids of the living processes of this host that were forked for the run of ``mark``."""
+    """Process ids of the processes of the run of ``mark`` that run on this host: its parent and all children."""
     for pid, line in _command_lines():
         if f"-m {MODULE} " in line and line.endswith(f" {mark}"):
             yield pid
 
 
 def has_processes(folder: Path) -> bool:
-    """Whether processes of a run whose run folder lies in ``folder`` live."""
+    """True where a process is still running of a run whose run folder lies in ``folder``."""
     for log in folder.glob(f"*/{EVENTS}"):
         with contextlib.suppress(InvalidInputError):  # before its first event, which no process precedes
             if any(find_marked(read_started_run(log.parent).mark)):
@@ -121,11 +121,11 @@ def has_processes(folder: Path) -> bool:
 
 
 def _command_lines() -> Iterator[tuple[int, str]]:
-    """Process id and command line of every process; of zombies it is empty or in brackets."""
+    """Process id and command line of every process; the command line of a zombie is empty or in brackets."""
     if (PROC / "self" / "cmdline").exists():
         for folder in PROC.iterdir():
             if folder.name.isdigit():
-                with contextlib.suppress(OSError):  # it has ended meanwhile
+                with contextlib.suppress(OSError):  # the process has ended meanwhile
                     words = (folder / "cmdline").read_bytes().rstrip(b"\0").split(b"\0")
                     yield int(folder.name), b" ".join(words).decode(errors="replace")
         return
@@ -137,7 +137,7 @@ def _command_lines() -> Iterator[tuple[int, str]]:
 
 def _send(pids: Collection[int], number: int) -> None:
     for pid in pids:
-        with contextlib.suppress(ProcessLookupError, PermissionError):  # another user's are named when they stay
+        with contextlib.suppress(ProcessLookupError, PermissionError):  # named in the error at the end
             os.kill(pid, number)
             operating_system.go_on(pid)  # one that was paused could not handle it
 

@@ -27,18 +27,18 @@ from scenarios.scenario import Scenario
 from scenarios.telemetry import Telemetry
 
 ROUTER_START_S = 10.0
-NICE_OF_AREAS = 10  # hundreds that compute leave router, plant and the fork server the little that these need
-HELD_S = LONGEST_S  # for which a held scan stays
+NICE_OF_AREAS = 10  # hundreds of areas that compute leave router, plant and fork server the little time that they need
+HELD_S = LONGEST_S  # duration of a held scan
 
 
 @dataclass
 class System:
     """Starts the processes of ``scenario`` with ``launcher`` under run id ``id``; ``folder``: for files and logs.
 
-    ``scan_every_s``: time between scans of the plant, None for one scan only. ``keys``: folder of everybody's
-    credentials; all links are secured then. ``any_name``: without them a router lets everybody say everything, not only
-    what processes of the run may. ``note`` must be called with all updates of the launcher: a death that was
-    ordered is distinguished from one that was not.
+    ``scan_every_s``: time between scans of the plant, None for one scan only. ``keys``: folder of the credentials of
+    all processes; all links are secured then. ``any_name``: without keys, a router passes messages of all senders, not
+    only those of the processes of the run. ``note`` must be called with all updates of the launcher, because it tells
+    ends that were ordered from others.
     """
 
     launcher: Launcher
@@ -50,7 +50,7 @@ class System:
     any_name: bool = False
     endpoints: tuple[str, ...] = ()
     pids: dict[str, int] = field(default_factory=dict)  # of the last incarnation of each
-    _area_endpoints: dict[str, str] = field(default_factory=dict)  # where each area listens if there is no router
+    _area_endpoints: dict[str, str] = field(default_factory=dict)  # endpoint of each area, if there is no router
     _orders: dict[str, tuple[Any, ...]] = field(default_factory=dict)  # target and arguments of each process
     _running: set[str] = field(default_factory=set)  # started, and neither killed nor known to have ended
     _killed: Counter[str] = field(default_factory=Counter)  # deaths ordered and not yet reported
@@ -61,13 +61,13 @@ class System:
 
     @property
     def direct(self) -> bool:
-        """Whether neighbours link with each other, and there is no router."""
+        """True where neighbours link with each other directly, without a router."""
         return self.scenario.transport.kind == "neighbours"
 
     def start_bus(self, wait: Callable[[], str | None]) -> None:
-        """Find out where all will meet: start the routers and wait until they listen, or choose where areas will.
+        """Starts the routers and waits until they listen. Without routers, chooses the endpoints of the areas.
 
-        ``wait``: called again and again meanwhile; a reason to give up, or None.
+        ``wait``: called repeatedly during the wait; returns a reason to give up, or None.
 
         Raises:
             TransportError: a router has ended, or does not listen in time.
@@ -76,7 +76,7 @@ class System:
         check_open_files(len(self.scenario.partition.areas))
         protocol = "tls" if self.keys else "tcp"
         listen = f"{protocol}/{self.scenario.transport.listen.partition('/')[2]}"
-        warn_of_strangers([listen], self.keys is not None)  # here, too: who reads the log of a router?
+        warn_of_strangers([listen], self.keys is not None)  # here, too, because the log of a router is rarely read
         if self.direct:
             self._area_endpoints = choose_area_endpoints(self.scenario, protocol)
             self.endpoints = tuple(self._area_endpoints.values())
@@ -86,12 +86,12 @@ class System:
                 self.endpoints += self._start_router(SECOND_ROUTER, f"{listen.rpartition(':')[0]}:0", wait)
 
     def join(self, name: str) -> Session:
-        """A session of ours on the bus, with the credentials of process ``name`` if it is secured."""
+        """A session of this process on the bus, with the credentials of process ``name`` if the run is secured."""
         keys, heartbeat_s = load_keys(self.keys, name, self.id), self.scenario.run.beat_s
         return Session.join(self.endpoints, keys=keys, heartbeat_s=heartbeat_s, direct=self.direct)
 
     def _start_router(self, name: str, listen: str, wait: Callable[[], str | None]) -> tuple[str, ...]:
-        """Start a router that links with those before it; its endpoints."""
+        """Starts a router that links with the routers started before, waits until it listens, returns its endpoints."""
         endpoints_file = self.folder.absolute() / "logs" / f"{name}.endpoints"
         always = [part for endpoint in self.endpoints for part in ("--connect", endpoint)] + self._keys() + self._run()
         always += ["--heartbeat", str(self.scenario.run.beat_s)]
@@ -101,7 +101,7 @@ class System:
         self._order(name, target, ["--listen", listen, "--endpoints-file", str(endpoints_file), *always], access)
         deadline = math.inf
         while not endpoints_file.exists():
-            if name in self.pids:  # before, the parent may be compiling, which takes 13 s the first time on a machine
+            if name in self.pids:  # until it has started, the parent may compile: 13 s the first time on a machine
                 deadline = min(deadline, time.monotonic() + ROUTER_START_S)
             reason = wait()
             if reason:
@@ -109,15 +109,15 @@ class System:
             if time.monotonic() > deadline:
                 raise TransportError(f"the {name} has not opened {listen} within {ROUTER_START_S:g} s")
         endpoints = tuple(endpoints_file.read_text(encoding="utf-8").split())
-        again = [part for endpoint in endpoints for part in ("--listen", endpoint)]  # where the others look for it
+        again = [part for endpoint in endpoints for part in ("--listen", endpoint)]  # a restart keeps the endpoints
         self._orders[name] = (target, [*again, *always], access)
         return endpoints
 
     def start_recorder(self, folder: Path, limit_gb: float | None, wait: Callable[[], str | None]) -> None:
-        """Start the recorder, which writes into ``folder``, and wait until it listens; ``wait`` as for the bus.
+        """Starts the recorder, which writes into ``folder``, and waits for its log; ``wait`` as for ``start_bus``.
 
         Raises:
-            TransportError: it has ended.
+            TransportError: the recorder has ended.
         """
         files = area_files(self.scenario, self.id, self.endpoints, self._area_endpoints)
         order = Order(folder.absolute(), self.id, files, limit_gb, closes=False)
@@ -134,18 +134,21 @@ class System:
             self._order(name, "agents.__main__:run_process", path.absolute(), self.keys)
 
     def start_plant(self, telemetry: Telemetry | None = None) -> None:
-        """Start the plant with its first scan; of ``telemetry``, if that is its only one and has been made already."""
+        """Starts the plant with its first scan. ``telemetry``: of the only scan, if it has been made already."""
         self._start_plant(1, None if telemetry is None else MadeScan.of(self.scenario, telemetry))
 
     def kill(self, name: str) -> None:
-        """End a process, if it runs, without a chance to say anything."""
+        """Kills a process, if it runs. The process publishes nothing more."""
         if name in self._running:
             self._running.remove(name)
             self._killed[name] += 1
             self.launcher.signal(name, operating_system.KILL)
 
     def restart(self, name: str) -> None:
-        """Start a process again from what it was started from the first time; if it still runs, kill it before."""
+        """Starts a process again with the arguments of its first start; kills it before if it still runs.
+
+        A plant that makes many scans goes on with a new scan number.
+        """
         self.kill(name)
         if name == PLANT and self.scan_every_s:
             self._start_plant(self._next_scan(self.scan_every_s))
@@ -153,22 +156,22 @@ class System:
             self._order(name, *self._orders[name])
 
     def hold_scan(self) -> None:
-        """Start the plant again with one more scan, which stays."""
+        """Starts the plant again with one more scan, which stays."""
         scan = self._next_scan(self.scan_every_s or HELD_S)
         self.scan_every_s = HELD_S
         self.kill(PLANT)
         self._start_plant(scan)
 
     def pause(self, name: str) -> None:
-        """Freeze a process in the middle of whatever it does."""
+        """Freezes a process."""
         self.launcher.signal(name, operating_system.PAUSE)
 
     def go_on(self, name: str) -> None:
-        """Let a frozen process go on."""
+        """Lets a frozen process continue."""
         self.launcher.signal(name, operating_system.GO_ON)
 
     def note(self, update: Started | Ended) -> bool:
-        """Take in what happened to a process; whether it was to be expected."""
+        """Takes in the start or end of a process. True where it was ordered: a start, or the end of a killed one."""
         if isinstance(update, Started):
             self.pids[update.name] = update.pid
             return True
@@ -179,7 +182,7 @@ class System:
         return False
 
     def _next_scan(self, every_s: float) -> int:
-        """A number above those of all scans that the plants up to now can have made."""
+        """A scan number above those of all scans that earlier plants can have made."""
         return self._first_scan + 2 + int((time.monotonic() - self._first_scan_at) / every_s)
 
     def _start_plant(self, scan: int, made: MadeScan | None = None) -> None:
@@ -200,11 +203,13 @@ class System:
         return ["--keys", str(self.keys)] if self.keys else []
 
     def _run(self) -> list[str]:
-        """The rules of access in a folder of keys may have been written for another run of the same areas."""
+        """Router arguments that name the run: the rules of access in a folder of keys may name another run of the same
+        areas.
+        """
         return ["--run", self.id] if self.keys else []
 
     def _last_error(self, process: str) -> str | None:
-        """The error that a process rejected its input with, if its log ends with one."""
+        """The last error line in the last lines of a process's log, without "error: "; None if there is none."""
         for line in reversed(read_end(self.log_of(process), width=10_000).splitlines()):
             if line.startswith("error: "):
                 return line.removeprefix("error: ")

@@ -1,1 +1,1 @@
-"""What a scenario does to the processes of a run: when, by which clock, and by which signals."""
+"""Faults that a scenario injects into the processes of a run: their schedule, their clock, their signals."""

@@ -1,4 +1,4 @@
-"""The clock of a run: publishes how long it has lasted, because windows of injected faults count by it."""
+"""The clock of a run: publishes the duration of the run so far, by which agents time the windows of injected faults."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from agents.security.access import COORDINATOR
 
 @dataclass
 class RunClock:
-    """Publishes at every heartbeat through ``publish``; never without it. ``incarnation``: the coordinator's."""
+    """Publishes at every heartbeat through ``publish``; silent where it is None. ``incarnation``: the coordinator's."""
 
     run: str
     heartbeat_s: float
@@ -22,7 +22,7 @@ class RunClock:
     _next: float = field(default=0.0)
 
     def tick(self, elapsed_s: float) -> None:
-        """Publish that the run has lasted ``elapsed_s`` seconds, if a heartbeat is due."""
+        """Publishes ``elapsed_s``, the duration of the run in seconds, if a heartbeat is due."""
         if self.publish is None or elapsed_s < self._next:
             return
         self._next = elapsed_s + self.heartbeat_s

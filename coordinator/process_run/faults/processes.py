@@ -1,4 +1,4 @@
-"""What a scenario does to processes, done to real ones."""
+"""Steps of a fault schedule, carried out on real processes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from coordinator.process_run.system import System
 
 
 def do_to_processes(system: System, step: Step) -> None:
-    """Have one step happen to the processes of ``system``."""
+    """Carries out one step on the processes of ``system``. Steps of links do nothing here."""
     name = step.names[0]
     match step.kind:
         case "kill":
@@ -25,4 +25,4 @@ def do_to_processes(system: System, step: Step) -> None:
         case "speak":
             system.launcher.signal(PLANT, RESUME)
         case _:
-            pass  # the links of the two areas know from their area files when they are cut
+            pass  # the agents of the two areas cut and heal their link by the times in their area files

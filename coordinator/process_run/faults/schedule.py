@@ -1,4 +1,4 @@
-"""When which process of a run is killed, frozen, started again or silenced."""
+"""Schedule of the faults of a run: times at which processes are killed, paused, restarted or silenced."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ UNDO = {"pause": "resume", "cut": "heal", "silent": "speak"}
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What happens at ``at_s`` after the start: an event of the scenario, or the end of one that lasts."""
+    """A step ``at_s`` seconds after the start: an event of the scenario, or the end of an event that lasts."""
 
     at_s: float
     kind: str
@@ -23,7 +23,7 @@ class Step:
 
 @dataclass
 class FaultSchedule:
-    """The steps still to come, in order, and how many of each kind have been done."""
+    """The steps still to come, in order, and the count of steps carried out by kind."""
 
     steps: list[Step]
     counts: Counter[str] = field(default_factory=Counter)
@@ -32,16 +32,16 @@ class FaultSchedule:
     def of(cls, events: Sequence[FaultEvent]) -> FaultSchedule:
         steps = [Step(event.at_s, event.kind, event.names) for event in events]
         steps += [Step(event.over_s, UNDO[event.kind], event.names) for event in events if event.kind in UNDO]
-        # what ends ends first: a pause that begins at that moment shall last
+        # at equal times ends come first: a pause that begins when another ends must last
         return cls(sorted(steps, key=lambda step: (step.at_s, step.kind not in UNDO.values())))
 
     @property
     def next_at(self) -> float:
-        """When the next step is due, s after the start; infinity if none is left."""
+        """Time of the next step, s after the start; infinity if none is left."""
         return self.steps[0].at_s if self.steps else math.inf
 
     def carry_out(self, elapsed_s: float, do: Callable[[Step], None]) -> Iterator[Step]:
-        """``do`` all that is due ``elapsed_s`` after the start; each step as it is done."""
+        """Calls ``do`` with each step that is due ``elapsed_s`` after the start, and yields it afterwards."""
         while self.steps and self.steps[0].at_s <= elapsed_s:
             step = self.steps.pop(0)
             do(step)
@@ -49,7 +49,7 @@ class FaultSchedule:
             yield step
 
     def describe_next(self) -> tuple[str, ...]:
-        """What is still to come, in words; empty if nothing is."""
+        """The next step in words, as a single line; empty if no step is left."""
         return tuple(
             f"still to come: {step.kind} {' and '.join(step.names)} {step.at_s:g} s after the start"
             for step in self.steps[:1]
