@@ -1,4 +1,4 @@
-"""What has arrived from the bus and is not written yet: bounded, and what it has no room for is counted."""
+"""Queue of entries that have arrived from the bus and are not written yet. Bounded; it counts entries without room."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ class Arrivals:
         self._dropped = 0
 
     def put(self, entry: Entry) -> None:
-        """Leave it, or count it where too much waits, as behind a disk that does not answer."""
+        """Adds ``entry``, or counts it as dropped where too much waits, for instance behind a disk that hangs."""
         size = len(entry.payload) + SIZE_OF_ENTRY
         with self._lock:
             if self._waiting + size > self._most:
                 self._dropped += 1
                 return
             self._waiting += size
-            self._queue.put(entry)  # within the lock: in the order of their times
+            self._queue.put(entry)  # within the lock, so that the queue keeps the order of arrival
 
     def take(self, timeout_s: float) -> list[Entry]:
-        """Wait up to ``timeout_s`` for something; everything that has arrived by then.
+        """Waits up to ``timeout_s`` for an entry, and returns all entries that have arrived by then.
 
-        What comes meanwhile waits for the next time: else a flood would have no end.
+        Entries that arrive during the call are left for the next one, so that the call ends under a flood of messages.
         """
         try:
             first = self._queue.get(timeout=timeout_s)
@@ -46,7 +46,7 @@ class Arrivals:
         return entries
 
     def take_dropped(self) -> int:
-        """How many had no room since the last call."""
+        """Number of entries dropped since the last call."""
         with self._lock:
             dropped, self._dropped = self._dropped, 0
         return dropped

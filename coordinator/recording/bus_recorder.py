@@ -1,4 +1,4 @@
-"""The recorder on the bus: a mere listener that writes down what all areas of a run use and show."""
+"""The recorder on the bus: a listener that writes the readings and states of all areas of a run."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TIDY_S = 10.0  # between two looks at the size of the recording
 def run_recorder(
     order: Order, endpoints: Sequence[str], keys: Path | None = None, direct: bool = False, timeout_s: float = 10.0
 ) -> int:
-    """Record as a process of a run until SIGTERM or Ctrl-C; 0, or 2 after a user's mistake."""
+    """Records as a process of a run until SIGTERM or Ctrl-C. Returns 0, or 2 after a user's mistake."""
     start_log()
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end
     try:
@@ -52,13 +52,13 @@ def run_recorder(
 
 
 def record_from(session: Session, order: Order, on_begun: Callable[[], None] = lambda: None) -> None:
-    """Record until SIGTERM, SIGINT or, without keys, SIGHUP, which with keys renews them.
+    """Records until SIGTERM, SIGINT or, without keys, SIGHUP. With keys, SIGHUP renews them.
 
-    ``on_begun``: called once all that arrives from then on is written.
+    ``on_begun``: called when the recorder is on the bus; all messages that arrive later are written.
 
     Raises:
-        InvalidInputError: the folder holds something else.
-        OSError: it cannot be written at the start; later that is counted, and the recorder goes on.
+        InvalidInputError: the folder holds something else, or another recorder writes there.
+        OSError: the folder cannot be written at the start. Later, lost entries are counted, and the recorder goes on.
     """
     over, renew = Event(), Event()
     with begin_writing(order.folder, order.run, order.files):
@@ -72,7 +72,7 @@ def record_from(session: Session, order: Order, on_begun: Callable[[], None] = l
         recorder = Recorder(written, order.run)
         asked = _listen(session, order.run, [file.area.name for file in order.files] or None, arrivals)
         recorder.take([note(time.time(), "recorder started", run=order.run)])
-        closer.ask()  # what a killed recorder has left
+        closer.ask()  # closes logs left by a killed recorder
         on_begun()
         _serve(session, order, arrivals, asked, recorder, closer, over, renew)
         written.write([note(time.time(), "recorder stopped", lost=written.lost)])
@@ -84,7 +84,10 @@ def record_from(session: Session, order: Order, on_begun: Callable[[], None] = l
 
 
 def _listen(session: Session, run: str, areas: Collection[str] | None, arrivals: Arrivals) -> PresenceByName:
-    """Have all that is recorded put into ``arrivals``, of ``areas`` if they are known; whose presence is asked for."""
+    """Puts all messages and presence to record into ``arrivals``, of ``areas`` if they are known.
+
+    Returns the names whose presence is subscribed to; names of new publishers are added later.
+    """
 
     def on_message(key: str, payload: bytes) -> None:
         asked.note(*publisher_of(key))

@@ -1,8 +1,8 @@
 """Closing: the logs of ended segments become Parquet. ``python -m coordinator.recording.closing FOLDER``.
 
-The process that finds a log unlocked closes it: at the end of a segment a process beside the recorder, or the next
-recorder, if one was killed. It is removed only when all its tables are on the disk, so that closing can be broken off
-anywhere.
+The process that finds a log unlocked closes it: a process beside the recorder at the end of a segment, or the closing
+process of the next recorder if the recorder was killed. A log is removed only when all its tables are on the disk, so
+that closing can be interrupted at any point.
 """
 
 from __future__ import annotations
@@ -32,11 +32,10 @@ NO_PARQUET = "pyarrow is not installed, so logs are not closed into Parquet; pip
 
 
 def close_ended(folder: Path) -> list[str]:
-    """Close every log in ``folder`` that nobody writes; what is to be reported about it.
+    """Closes every log in ``folder`` that no recorder writes. Returns notes for the user, on files that stay as logs.
 
     Raises:
-        InvalidInputError: ``folder`` is no recording.
-        OSError: the tables cannot be written; the log stays.
+        OSError: ``folder`` has no folder of logs, or the tables cannot be written; the log stays.
     """
     with _closing_alone(folder):
         ended = [path for path in _list_logs(folder) if not is_being_written(path)]
@@ -56,7 +55,7 @@ def close_ended(folder: Path) -> list[str]:
 
 @contextmanager
 def _closing_alone(folder: Path) -> Iterator[None]:
-    """Wait for who closes there already: what a killed recorder has begun goes on."""
+    """Waits until no other process closes logs in ``folder``: the closing process of a killed recorder goes on."""
     lock = os.open(folder / LOGS, os.O_RDONLY | operating_system.FLAG_NO_WAIT)
     try:
         with suppress(OSError):  # a system of files without locks
@@ -67,7 +66,7 @@ def _closing_alone(folder: Path) -> Iterator[None]:
 
 
 def close_recording(folder: Path) -> None:
-    """Close what a run has recorded, and log what is to be reported about it: the run does not fail by that."""
+    """Closes the recording of a run. Logs notes and errors, because the run does not fail for them."""
     try:
         notes = close_ended(folder)
     except (DsseError, OSError) as error:
@@ -77,7 +76,7 @@ def close_recording(folder: Path) -> None:
 
 
 def _close(folder: Path, segment: str) -> None:
-    """Put the tables of ``segment`` in the place of its log."""
+    """Writes the tables of ``segment``, and removes its log."""
     path = log_of(folder, segment)
     with draft_folder(folder) as draft:
         for table in write_rows(rows_of_log(folder, segment), draft):
@@ -92,7 +91,7 @@ def rows_of_log(folder: Path, segment: str) -> Iterator[Row]:
     """The rows of all tables in the log of ``segment``, in order.
 
     Raises:
-        InvalidInputError: it cannot be read, or is no log.
+        InvalidInputError: the log cannot be read or is no log, or ``folder`` is no recording.
     """
     maker = RowMaker(read_about(folder).run, load_areas(folder))
     for number, entry in enumerate(read_entries(log_of(folder, segment)), 1):
@@ -101,8 +100,8 @@ def rows_of_log(folder: Path, segment: str) -> Iterator[Row]:
 
 
 def remove_oldest(folder: Path, limit: float) -> list[str]:
-    """Remove the oldest segments in ``folder`` until it has ``limit`` bytes at most, never one that is being written;
-    their names.
+    """Removes the oldest segments in ``folder`` until all together have ``limit`` bytes at most, except a segment that
+    is being written. Returns the names of the removed segments.
     """
     sizes = {segment: sum(map(_size_of, files_of(folder, segment))) for segment in list_segments(folder)}
     left, removed = sum(sizes.values()), []
@@ -119,7 +118,7 @@ def remove_oldest(folder: Path, limit: float) -> list[str]:
 
 
 def files_of(folder: Path, segment: str) -> list[Path]:
-    """The files of a segment that there are."""
+    """The existing files of a segment: its log and its tables."""
     paths = (log_of(folder, segment), *(table_of(folder, table, segment) for table in TABLES))
     return [path for path in paths if path.exists()]
 
@@ -136,7 +135,7 @@ def _size_of(path: Path) -> int:
 
 
 class Closer:
-    """Closes ended segments of ``folder`` beside the recorder, which must not wait for it: in a process of its own."""
+    """Closes ended segments of ``folder`` in a process beside the recorder, which must not wait for it."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -144,12 +143,12 @@ class Closer:
         self._is_asked = False
 
     def ask(self) -> None:
-        """Have closed what has ended."""
+        """Asks to close the segments that have ended."""
         self._is_asked = True
         self.check()
 
     def check(self) -> None:
-        """Begin what was asked for, if nothing is under way any more."""
+        """Starts the closing that was asked for, unless one is under way."""
         if self._process is not None and self._process.poll() is None:
             return
         self._process = None
@@ -164,13 +163,13 @@ class Closer:
             )
 
     def wait(self) -> None:
-        """Wait for what is under way."""
+        """Waits for the closing under way."""
         if self._process is not None:
             self._process.wait()
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Close what has ended in the folder that is given; 0, or 2 after an error that is printed."""
+    """Closes the ended segments in the folder ``arguments[0]``. Returns 0, or 2 after an error, which is logged."""
     start_log()
     operating_system.be_nice(NICE)
     try:

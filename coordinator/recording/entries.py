@@ -1,4 +1,4 @@
-"""What one frame of a log says: a payload as it came from the bus, a presence token, or a note of the recorder."""
+"""Entries of a log, one in each frame: a payload as it came from the bus, a presence token, or a recorder's note."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ MESSAGE, APPEARED, VANISHED, LEFT, NOTE = "message", "appeared", "vanished", "le
 
 
 class Entry(msgspec.Struct, frozen=True, array_like=True):
-    """``at``: when it arrived, s since 1970 by the clock of the recorder. ``key``: on the bus; of a note its event.
+    """An entry of a log.
 
-    ``payload``: of a message; of ``LEFT`` the reason in ASCII; of a note JSON.
+    ``at``: time of its arrival, s since 1970 by the clock of the recorder. ``key``: its key on the bus; of a note, its
+    event. ``payload``: the bytes of a message; of ``LEFT``, the reason in ASCII; of a note, its details in JSON.
     """
 
     kind: str
@@ -33,15 +34,15 @@ def encode_entry(entry: Entry) -> bytes:
 
 
 def note(at: float, event: str, **details: object) -> Entry:
-    """What the recorder itself has to say."""
+    """A note of the recorder itself: an event and its details."""
     return Entry(NOTE, at, event, msgspec.json.encode(details))
 
 
 def read_entries(path: Path) -> Iterator[Entry | str]:
-    """The entries of the log at ``path``, and in words what of it is lost.
+    """The entries of the log at ``path`` in order, and a text in the place of each part that is lost.
 
     Raises:
-        InvalidInputError: it cannot be read, or is no log.
+        InvalidInputError: the file cannot be read, or is no log.
     """
     for found in read_frames(path):
         if isinstance(found, Gap):

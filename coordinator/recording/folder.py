@@ -1,8 +1,8 @@
-"""The folder of a recording: what lies where, of which run it is, and that one recorder alone writes it.
+"""The folder of a recording: its layout, its run, and the lock that lets a single recorder write it.
 
-``recording.json`` says whose it is, ``areas/`` holds the area files where they are known, ``log/`` the logs, and
-``states/``, ``buses/`` and so on the closed tables. One *segment*, of an hour or less, has one log, then one file in
-each folder of tables, all of one name: when it began.
+``recording.json`` names the run, ``areas/`` holds the area files where they are known, ``log/`` the logs, and
+``states/``, ``buses/`` and so on the closed tables. A *segment*, of an hour or less, has one log, and after closing one
+file in each folder of tables with rows. All its files have the same name: the time at which the segment began.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """Of which run a recording is; ``areas``: their names where their files are in the recording, else none."""
+    """The run of a recording. ``areas``: names of the areas whose files are in the recording; empty without files."""
 
     run: AnyName
     areas: tuple[AnyName, ...]
 
 
 def name_segment(at: float) -> str:
-    """The name of a segment that begins ``at``, s since 1970; sorted by name they are sorted by time."""
+    """The name of a segment that begins at ``at``, s since 1970. The order of names is the order of times."""
     return datetime.fromtimestamp(at, UTC).strftime("%Y%m%dT%H%M%S-%f")[:-3]
 
 
@@ -63,7 +63,7 @@ def list_segments(folder: Path) -> list[str]:
 
 
 def read_about(folder: Path) -> About:
-    """Of which run the recording in ``folder`` is.
+    """The run and the areas of the recording in ``folder``.
 
     Raises:
         InvalidInputError: ``folder`` is no recording.
@@ -88,9 +88,9 @@ def load_areas(folder: Path) -> list[AreaFile]:
     """The area files of the recording in ``folder``, in the scenario's order; none where they are not known.
 
     Raises:
-        InvalidInputError: one cannot be read.
+        InvalidInputError: ``folder`` is no recording, or an area file cannot be read or is that of another area.
     """
-    from agents.area_files.reader import load_area_file  # its schema takes time, and who writes does not need it
+    from agents.area_files.reader import load_area_file  # its schema takes time to build; a recorder needs it rarely
 
     files = []
     for name in dict.fromkeys(read_about(folder).areas):
@@ -104,11 +104,11 @@ def load_areas(folder: Path) -> list[AreaFile]:
 
 @contextmanager
 def begin_writing(folder: Path, run: str, files: Sequence[AreaFile] = ()) -> Iterator[None]:
-    """Make ``folder``, or go on with what was recorded of ``run`` there; within the block nobody else writes there.
+    """Makes ``folder``, or goes on with the recording of ``run`` there. No other recorder writes there in the block.
 
     Raises:
-        InvalidInputError: something else is there, or another recorder writes there.
-        OSError: it cannot be written.
+        InvalidInputError: the folder holds something else, or another recorder writes there.
+        OSError: the folder cannot be written.
     """
     for part in (LOGS, *TABLES):
         (folder / part).mkdir(parents=True, exist_ok=True)
@@ -147,7 +147,11 @@ def _check_same(folder: Path, run: str, files: Sequence[AreaFile]) -> None:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """The folder itself, for this process alone; the system opens the lock however the process ends."""
+    """Locks the folder for this process. The system releases the lock when the process ends for any reason.
+
+    Raises:
+        InvalidInputError: another process holds the lock.
+    """
     lock = os.open(folder, os.O_RDONLY)
     try:
         try:

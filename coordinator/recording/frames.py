@@ -1,4 +1,4 @@
-"""The format of a log: frames, each of which is there whole or is seen not to be. Knows neither the bus nor tables.
+"""The format of a log: frames, of which an incomplete or damaged one is detected. Knows neither the bus nor tables.
 
 A file begins with ``MAGIC``. A frame is ``MARK``, the length of its body and the CRC-32 of both (big-endian, 4 bytes
 each), then the body. After damage the next frame is found by its mark and its checksum.
@@ -23,17 +23,17 @@ MAGIC = b"dsse recording 1\n"
 MARK = b"\xd5\x5e\xf4\x01"
 _HEAD = struct.Struct(">4sII")
 LARGEST = 16 * 2**20  # bytes of a body: twice what the bus carries
-MOST_SEARCHED = 64 * LARGEST  # bytes of what begins like a frame and is none; a disk that damages more leaves no log
+MOST_SEARCHED = 64 * LARGEST  # bytes of damaged frames that are checked beyond the size of the log
 
 
 def frame(body: bytes) -> bytes:
-    """``body`` as it stands in a log."""
+    """The frame of ``body``, as it is written to a log."""
     length = len(body).to_bytes(4, "big")
     return _HEAD.pack(MARK, len(body), zlib.crc32(body, zlib.crc32(length))) + body
 
 
 class FrameLog:
-    """A new log at ``path``, locked as long as the process that writes it lives.
+    """A new log at ``path``, locked until it is closed or the process that writes it ends.
 
     Raises:
         OSError: naming ``path``; where it exists, ``FileExistsError``.
@@ -48,11 +48,15 @@ class FrameLog:
         self._write(MAGIC)
 
     def append(self, bodies: Iterable[bytes]) -> None:
-        """Write all of them at once, or none."""
+        """Writes the frames of all ``bodies``, or none of them.
+
+        Raises:
+            OSError: naming ``path``; nothing of them is left in the log.
+        """
         self._write(b"".join(map(frame, bodies)))
 
     def sync(self) -> None:
-        """Wait until all that is written also survives the end of the power supply."""
+        """Waits until all written frames are on the disk, and survive a loss of power."""
         os.fsync(self._file)
 
     def close(self) -> None:
@@ -72,7 +76,7 @@ class FrameLog:
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """``size`` bytes from byte ``at`` on that are no frames; ``is_end``: none follows, as after a sudden end."""
+    """``size`` bytes from byte ``at`` on that are no frames. ``is_end``: no frame was found after them."""
 
     at: int
     size: int
@@ -84,10 +88,10 @@ class Gap:
 
 
 def read_frames(path: Path) -> Iterator[bytes | Gap]:
-    """The bodies in the log at ``path`` in order, and what lies between them.
+    """The bodies in the log at ``path`` in order, and a ``Gap`` for the bytes between them that are no frames.
 
     Raises:
-        InvalidInputError: it cannot be read, or is no log.
+        InvalidInputError: the file cannot be read, or is no log.
     """
     try:
         with open_regular(path) as file:
@@ -120,8 +124,10 @@ def _read(path: Path, content: mmap.mmap, size: int) -> Iterator[bytes | Gap]:
 
 
 class _Frames:
-    """The frames of a log of ``size`` bytes. The search for the next whole one behind damage ends after so many bytes:
-    of a file that is nothing but beginnings of frames it would read each byte millions of times.
+    """The frames of a log of ``size`` bytes.
+
+    The search for the next whole frame after damage ends when frames with wrong checksums of ``size`` +
+    ``MOST_SEARCHED`` bytes have been read: a file full of beginnings of frames would be read millions of times.
     """
 
     def __init__(self, content: mmap.mmap, size: int) -> None:
@@ -129,7 +135,7 @@ class _Frames:
         self._left = size + MOST_SEARCHED
 
     def body_at(self, at: int) -> bytes | None:
-        """The body of the frame at byte ``at``; None if there is no whole one."""
+        """The body of the frame at byte ``at``; None if no whole frame begins there."""
         if at + _HEAD.size > self._size:
             return None
         mark, length, checksum = _HEAD.unpack_from(self._content, at)
@@ -143,7 +149,7 @@ class _Frames:
         return None
 
     def find_next(self, at: int) -> int:
-        """Where the next whole frame begins; the size of the log without one, or where too much was searched."""
+        """First byte of the next whole frame; the size of the log if there is none, or the search has ended."""
         while self._left > 0 and (found := self._content.find(MARK, at)) >= 0:
             if self.body_at(found) is not None:
                 return found
@@ -152,7 +158,10 @@ class _Frames:
 
 
 def is_being_written(path: Path) -> bool:
-    """Whether the process that writes the log at ``path`` still runs."""
+    """True where a process holds the lock of the log at ``path``; False where the log cannot be opened.
+
+    True also where the file system has no locks.
+    """
     try:
         lock = os.open(path, os.O_RDONLY | operating_system.FLAG_NO_WAIT)
     except OSError:

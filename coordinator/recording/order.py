@@ -1,4 +1,4 @@
-"""The order to a recorder: what it records, and where."""
+"""The order to a recorder: run, areas, folder and limit of the recording."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ GIB = 2**30  # bytes
 
 @dataclass(frozen=True)
 class Order:
-    """``files``: of the areas, where known; ``limit_gb``: of the folder, GiB; None: none.
+    """The order to a recorder.
 
-    ``closes``: whether what is left at the end is closed by the recorder itself.
+    ``files``: area files, where known. ``limit_gb``: largest size of the folder, GiB; None: no limit. ``closes``: the
+    recorder itself closes the last segments at its end.
     """
 
     folder: Path
@@ -27,5 +28,5 @@ class Order:
 
     @property
     def limit(self) -> float | None:
-        """Of the folder, bytes."""
+        """Largest size of the folder, bytes; None: no limit."""
         return self.limit_gb * GIB if self.limit_gb else None

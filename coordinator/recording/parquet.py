@@ -15,8 +15,8 @@ from coordinator.recording.rows import COLUMNS, INTEGER, NUMBER, TEXT, TEXTS, TI
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import open_regular
 
-ROWS_AT_ONCE = 50_000  # that are held in memory, of each table
-TEXT_AT_ONCE = 2**24  # characters of them, of tables with long texts
+ROWS_AT_ONCE = 50_000  # of each table that are held in memory
+TEXT_AT_ONCE = 2**24  # characters of these rows, in tables with long texts
 TEXT_TABLES = ("states", "events")
 MOST_ROWS = 5_000_000  # of a file that is read; an hour of 1,000 buses with a scan a second has 3.6 million
 LARGEST_GROUP = 2**26  # bytes of rows that are written together, as they are in memory
@@ -24,7 +24,7 @@ MICROSECONDS = 1_000_000
 
 
 def has_parquet() -> bool:
-    """Whether Parquet can be written and read."""
+    """True where Parquet can be written and read, because pyarrow is installed."""
     try:
         _load_pyarrow("")
     except InvalidInputError:
@@ -33,7 +33,9 @@ def has_parquet() -> bool:
 
 
 def write_rows(rows: Iterable[Row], folder: Path) -> list[str]:
-    """Write ``<table>.parquet`` in ``folder`` of each table that has rows; their names. On the disk when it returns.
+    """Writes ``<table>.parquet`` in ``folder`` for each table that has rows, and returns the names of these tables.
+
+    The files are on the disk when it returns.
 
     Raises:
         InvalidInputError: pyarrow is not installed.
@@ -82,14 +84,13 @@ def _count_characters(value: Any) -> int:
 
 def read_rows(path: Path, columns: Sequence[str], added: Collection[str] = ()) -> Iterator[tuple[Any, ...]]:
     """The values of ``columns`` in each row of the file at ``path``, which lies in the folder of its table; times in s
-    since 1970. Those of ``added`` that it lacks are None.
+    since 1970. Columns of ``added`` that the file lacks are None.
 
-    What a file takes in memory is found in its own list of contents, before anything of it is read; texts that repeat
-    stay one text.
+    The file's own list of contents tells the memory that it takes, before any row is read. Equal texts share memory.
 
     Raises:
-        InvalidInputError: it cannot be read, is larger than what is read, or a row is none of its table, which is
-            named; or pyarrow is not installed.
+        InvalidInputError: the file cannot be read or is too large, pyarrow is not installed, or a row does not belong
+            to the table; the error names the row.
     """
     pyarrow, parquet = _load_pyarrow(str(path))
     try:
@@ -117,17 +118,18 @@ def read_rows(path: Path, columns: Sequence[str], added: Collection[str] = ()) -
 
 
 def _leaves(about: Any, wanted: Collection[str]) -> list[Any]:
-    """The columns of a file as Parquet has them, of which one of ours may have several."""
+    """The Parquet columns of the columns ``wanted``; a column of lists may have several."""
     columns = (about.schema.column(k) for k in range(about.num_columns))
     return [column for column in columns if column.path.partition(".")[0] in wanted]
 
 
 def _check_contents(pyarrow: Any, path: Path, about: Any, wanted: Collection[str], opened: BinaryIO) -> None:
-    """That the columns ``wanted`` are there, are of their types, and fit into memory, by the file's list of contents
-    and the headers of its pages.
+    """Checks that the file has each of the columns ``wanted`` once and of its type, and that they fit into memory, by
+    the file's list of contents and the headers of its pages.
 
     Raises:
-        InvalidInputError: they are not.
+        InvalidInputError: naming all problems.
+        ValueError: the list of contents names pages that are not there.
     """
     found, table = about.schema.to_arrow_schema(), path.parent.name
     if table not in COLUMNS:
@@ -150,10 +152,10 @@ def _check_contents(pyarrow: Any, path: Path, about: Any, wanted: Collection[str
 
 
 def _find_large_groups(about: Any, wanted: Collection[str], opened: BinaryIO) -> Iterator[str]:
-    """What of a file's row groups is too large, the first of them.
+    """Problem of the first row group that is too large; none where all fit.
 
     Raises:
-        ValueError: there are no pages where the list of contents says so.
+        ValueError: the list of contents names pages that are not there.
     """
     leaves = {leaf.path for leaf in _leaves(about, wanted)}
     for k in range(about.num_row_groups):
@@ -177,7 +179,7 @@ def _find_large_groups(about: Any, wanted: Collection[str], opened: BinaryIO) ->
 
 
 def sync_path(path: Path) -> None:
-    """Have a file, or what a folder lists, on the disk."""
+    """Writes a file, or the entries of a folder, through to the disk."""
     file = os.open(path, os.O_RDONLY)
     try:
         with contextlib.suppress(OSError):

@@ -1,5 +1,5 @@
-"""Sizes of the pages of a Parquet file, from the header of each: the list of contents at the end of a file may state
-others, and a reader unpacks what the headers state.
+"""Sizes of the pages of a Parquet file, from the header of each page. The list of contents at the end of the file may
+state other sizes, and a reader unpacks the sizes that the headers state.
 
 A header is a struct of Thrift's compact protocol (github.com/apache/parquet-format, PageHeader): field 2 the size when
 unpacked, 3 the size in the file, 5 or 8 (data) and 7 (dictionary) a struct whose field 1 is the number of values.
@@ -19,17 +19,17 @@ _TRUE, _FALSE, _BYTE, _I16, _I32, _I64, _DOUBLE, _BINARY, _STRUCT = 1, 2, 3, 4, 
 
 
 class Page(NamedTuple):
-    """``size``: bytes when it is unpacked."""
+    """A page. ``size``: bytes when it is unpacked. ``values``: number of its values."""
 
     size: int
     values: int
 
 
 def read_pages(file: BinaryIO, begin: int, end: int) -> Iterator[Page]:
-    """The pages between bytes ``begin`` and ``end`` of ``file``, which end there.
+    """The pages between bytes ``begin`` and ``end`` of ``file``; the last one ends at ``end``.
 
     Raises:
-        ValueError: they do not, or a header is none.
+        ValueError: the last page ends elsewhere, or a header is invalid.
     """
     at, window, base = begin, b"", begin
     while at < end:
@@ -52,11 +52,11 @@ def read_pages(file: BinaryIO, begin: int, end: int) -> Iterator[Page]:
 
 
 def _read_struct(content: bytes, at: int, depth: int) -> tuple[dict[int, Any], int]:
-    """The fields of a struct, integers and structs, and where it ends.
+    """The fields of a struct that are integers or structs, and the position after its end.
 
     Raises:
-        IndexError: it goes on behind ``content``.
-        ValueError: it has what no header has.
+        IndexError: the struct goes on behind ``content``.
+        ValueError: the struct has a field or a depth that no header has.
     """
     if depth >= DEEPEST:
         raise ValueError("a header of a page nests too deeply")
@@ -86,13 +86,18 @@ def _read_struct(content: bytes, at: int, depth: int) -> tuple[dict[int, Any], i
 
 
 def _read_integer(content: bytes, at: int) -> tuple[int, int]:
-    """A signed integer, and where it ends."""
+    """A signed integer, and the position after its end."""
     value, at = _read_varint(content, at)
     return (value >> 1) ^ -(value & 1), at
 
 
 def _read_varint(content: bytes, at: int) -> tuple[int, int]:
-    """An integer in groups of seven bits, and where it ends."""
+    """An integer in groups of seven bits, and the position after its end.
+
+    Raises:
+        IndexError: the integer goes on behind ``content``.
+        ValueError: it has more than 64 bits.
+    """
     value = 0
     for shift in range(0, 70, 7):
         byte = content[at]

@@ -1,4 +1,4 @@
-"""What of all that arrives is written into a recording, from the bus and from the simulator alike."""
+"""Filter of the entries that are written into a recording, from the bus and from the simulator."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from coordinator.recording.entries import LEFT, MESSAGE, Entry, note
 from coordinator.recording.row_checks import check_recordable
 from coordinator.recording.segment_log import SegmentLog
 
-REPEAT_S = 10.0  # of what an area repeats without anything new, one is written in so many seconds
-NUMBERS = re.compile(r"[0-9.]+")  # in notes: for how long something lasts
-MOST_KEYS = 20_000  # whose last message is kept in mind; who may publish may publish on many
+REPEAT_S = 10.0  # of the messages that an area repeats without news, one is written per interval of this length
+NUMBERS = re.compile(r"[0-9.]+")  # in notes: durations, which change from message to message
+MOST_KEYS = 20_000  # whose last message is remembered; a sender may publish on any number of keys
 
 
 class Recorder:
-    """Writes to ``log`` what is new of run ``run``.
+    """Writes to ``log`` the entries of run ``run`` that are new.
 
-    ``rejected``: payloads that are no messages of this wire version, or of somebody else than their key, by reason.
+    ``rejected``: reason -> number of payloads that are no messages of this wire version, or whose sender is not that of
+    their key.
     """
 
     def __init__(self, log: SegmentLog, run: str) -> None:
@@ -31,7 +32,7 @@ class Recorder:
         self.rejected: Counter[str] = Counter()
 
     def take(self, entries: Sequence[Entry]) -> None:
-        """Write what of ``entries``, in the order of their arrival, is new."""
+        """Writes the new ones of ``entries``, in the order of their arrival."""
         if new := list(self._filter(entries)):
             self._log.write(new)
 
@@ -49,10 +50,10 @@ class Recorder:
                     yield note(entry.at, "rejected", reason=error.reason, count=count, key=entry.key[:200])
 
     def _is_new(self, entry: Entry) -> bool:
-        """Whether the content of a message is new, or old and written long ago.
+        """True where the content of a message is new, or was last written ``REPEAT_S`` ago or more.
 
         Raises:
-            MessageError: it is none, or not of who may publish on its key.
+            MessageError: the payload is no message, or its sender is not that of its key.
         """
         message = decode(entry.payload)
         check_sender(entry.key, message, self._run)
@@ -65,10 +66,10 @@ class Recorder:
 
 
 def check_sender(key: str, message: Message, run: str) -> None:
-    """That ``message`` belongs into a recording and to ``key``.
+    """Checks that ``message`` belongs into a recording of ``run``, and that its sender is that of ``key``.
 
     Raises:
-        MessageError: it does not.
+        MessageError: it is of another kind, run or sender, or its rows cannot be written.
     """
     is_own = sender_of(key) == message.header.sender or isinstance(message, CommandMessage)
     if not isinstance(message, StateMessage | ReadingsMessage | CommandMessage):
@@ -82,12 +83,12 @@ def check_sender(key: str, message: Message, run: str) -> None:
 
 
 def _gist_of(message: Message) -> object:
-    """What makes a message new: all but what repeats may change."""
+    """The part of a message that makes it new; fields that change from repeat to repeat are left out."""
     h = message.header
     quality = (message.quality, NUMBERS.sub("", "; ".join(message.notes))) if isinstance(message, StateMessage) else ()
     return h.incarnation, h.scan, h.sequence, quality
 
 
 def left(at: float, key: str, reason: str) -> Entry:
-    """A leave message."""
+    """The entry of a leave message."""
     return Entry(LEFT, at, key, reason.encode("ascii"))

@@ -1,4 +1,4 @@
-"""Rows of a recording's tables, checked by the types of the wire before anything is made of them."""
+"""Checks of the rows of a recording's tables by the types of the wire, before the rows are used."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ TYPES: Mapping[str, Mapping[str, Any]] = {
     "readings": _WHOSE | _READING,
     "events": {"time": Time | None, "event": Name, "role": Name, "name": Name, "details": Details},
 }
-"""Table -> of each column that is read back, what may stand in it."""
+"""Table -> column that is read back -> type of its values."""
 _GIVEN = ("value", "sigma", "measured_at")  # of each meter
 _DESCRIBED = ("estimate", "normalised_residual")  # together or not at all
 _ONCE = {"readings": ("time", "area", "incarnation", "sequence"), "buses": ("time", "area", "incarnation", "estimate")}
@@ -89,7 +89,7 @@ _PLACE = re.compile(r"^(.*) - at `\$\[([0-9]+)\]\[([0-9]+)\](.*)`$", re.DOTALL)
 
 
 class RowCheck:
-    """Check of the rows of one file, taken piece by piece in their order; ``columns``: what is read of ``table``."""
+    """Check of the rows of one file, batch by batch in their order. ``columns``: those of ``table`` that are read."""
 
     def __init__(self, path: Path, table: str, columns: Sequence[str]) -> None:
         self._path = path
@@ -107,7 +107,7 @@ class RowCheck:
         self._seen: set[Any] = set()
 
     def check(self, rows: Sequence[tuple[Any, ...]]) -> None:
-        """That ``rows``, which follow those of the last call, can be those of a recording.
+        """Checks that ``rows``, which follow those of the last call, are rows that a recorder writes.
 
         Raises:
             InvalidInputError: naming file, row and column.
@@ -152,10 +152,11 @@ class RowCheck:
 
 
 def check_recordable(message: StateMessage | ReadingsMessage) -> None:
-    """That the rows of ``message`` can be written, and are read back: the bus carries times that no calendar has.
+    """Checks that the rows of ``message`` can be written and read back: the bus carries times that no calendar has, and
+    angles too large for a number in degrees.
 
     Raises:
-        MessageError: they cannot.
+        MessageError: naming the field.
     """
     times = {
         "time": (message.header.time,),

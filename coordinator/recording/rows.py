@@ -1,4 +1,4 @@
-"""The tables of a recording, row by row, from the entries of a log. Knows no file format but the log's.
+"""The tables of a recording, row by row, from the entries of a log. Knows no file format but that of the log.
 
 Voltages are p.u. in ``states`` and ``buses``; where the area is known, kV, kW, kvar and A stand beside them and in
 ``branches``. Every time is s since 1970 UTC.
@@ -94,7 +94,7 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
     },
     "events": {"time": TIME, "event": TEXT, "role": TEXT, "name": TEXT, "scan": INTEGER, "details": TEXT},
 }
-"""Table -> its columns and what they hold."""
+"""Table -> its columns and the type of each."""
 ADDED: Mapping[str, tuple[str, ...]] = {
     "readings": ("estimate", "normalised_residual"),
     "states": ("split", "split_at", "split_edited"),
@@ -102,12 +102,12 @@ ADDED: Mapping[str, tuple[str, ...]] = {
 """Table -> columns that files of earlier recorders lack."""
 
 Row = tuple[str, tuple[Any, ...]]
-"""A table, and a value for each of its columns; None for what is not known."""
+"""A table, and a value for each of its columns; None where the value is not known."""
 
 
 @dataclass
 class _Shown:
-    """What an area has shown last, before it is known whether that is its last of the scan."""
+    """The last state of an area, held back until the next one tells whether it was the last state of its scan."""
 
     row: dict[str, Any]
     state: StateMessage
@@ -115,7 +115,7 @@ class _Shown:
 
 
 class RowMaker:
-    """Makes rows of entries in the order of a log of ``run``; ``files``: of the areas, as far as they are known."""
+    """Makes rows from entries in the order of a log of ``run``. ``files``: area files, as far as they are known."""
 
     def __init__(self, run: str, files: Iterable[AreaFile] = ()) -> None:
         self._run = run
@@ -124,7 +124,10 @@ class RowMaker:
         self._qualities: dict[str, tuple[str, tuple[str, ...]]] = {}
 
     def rows_of(self, entry: Entry | str, where: str = "") -> Iterator[Row]:
-        """The rows that follow from an entry, or from what of a log is lost; ``where``: in the log, for events."""
+        """The rows that follow from an entry, or from the text on a lost part of a log.
+
+        ``where``: position of the entry in the log, for the details of events.
+        """
         if isinstance(entry, str):
             yield _event(math.nan, "damaged log", "recorder", "", entry)
             return
@@ -147,7 +150,7 @@ class RowMaker:
             yield _event(entry.at, entry.kind, role, name, why)
 
     def finish(self) -> Iterator[Row]:
-        """The rows that were held back, as their areas might have gone on."""
+        """The rows that were held back because their areas might have shown another state of the scan."""
         for last in self._shown.values():
             yield from self._hand_out(last, is_final=True)
         self._shown.clear()
@@ -186,7 +189,7 @@ class RowMaker:
             for row in rows:
                 row["final"] = is_final
                 yield table, tuple(row.get(name) for name in COLUMNS[table])
-        if is_final:  # before, neighbours may not have come to the end of the scan
+        if is_final:  # in an earlier state, neighbours may not have finished the scan
             yield from self._find_events(shown.row["time"], shown.state)
 
     def _find_events(self, at: float, state: StateMessage) -> Iterator[Row]:
@@ -199,7 +202,7 @@ class RowMaker:
             yield _event(at, "removed meters", "area", area, " ".join(state.removed), scan)
 
     def _describe_estimate(self, at: float, state: StateMessage) -> dict[str, list[dict[str, Any]]]:
-        """Rows of buses and branches but for ``final``."""
+        """Rows of ``buses`` and ``branches`` without their column ``final``."""
         whose = _whose(at, state) | {"estimate": state.header.sequence}
         columns = state.buses, state.vm, state.va, state.sigma_vm, state.sigma_va
         names = "bus", "vm_pu", "va_deg", "sigma_vm_pu", "sigma_va_deg"
@@ -223,10 +226,10 @@ class RowMaker:
 
 
 def _check_entry(entry: Entry, run: str) -> None:
-    """That an entry of a log is one that a recorder of ``run`` writes.
+    """Checks that an entry of a log is one that a recorder of ``run`` writes.
 
     Raises:
-        MessageError: it is none.
+        MessageError: naming the field.
     """
     if entry.kind not in (MESSAGE, APPEARED, VANISHED, LEFT, NOTE):
         raise MessageError("malformed", f"kind: {shown(entry.kind)} is no kind of entries")
@@ -244,7 +247,7 @@ def _check_entry(entry: Entry, run: str) -> None:
 
 
 def _degrees(angle: float, state: StateMessage) -> float | None:
-    """None for angles that count from nowhere."""
+    """``angle``, rad, in degrees; None where the angles of ``state`` have no reference."""
     return math.degrees(angle) if state.referenced else None
 
 

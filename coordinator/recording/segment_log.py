@@ -16,22 +16,22 @@ from coordinator.recording.frames import FrameLog
 log = logging.getLogger(__name__)
 HOUR_S = 3600.0
 SYNC_S = 1.0
-SHARE_OF_LIMIT = 1 / 8  # of the size of a recording, at which a segment ends before its hour
+SHARE_OF_LIMIT = 1 / 8  # of the limit of a recording: a segment of this size ends before its hour
 
 
 def _nothing() -> None:
-    """Nobody wants to know."""
+    """Does nothing."""
 
 
 class SegmentLog:
-    """Writes entries to ``folder``, as the only one there.
+    """Writes entries to the recording in ``folder``; no other process writes there.
 
     Args:
-        limit: of the whole recording, bytes; a segment ends when it has a part of that.
-        on_segment_end: called when a segment has ended, which can be closed now.
+        limit: of the whole recording, bytes; a segment ends at the share ``SHARE_OF_LIMIT`` of it.
+        on_segment_end: called when a segment has ended and can be closed.
 
-    What cannot be written, on a full disk for instance, is counted, and reported as soon as something can be again.
-    ``lost``: how many entries those are, up to now.
+    Entries that cannot be written, on a full disk for instance, are counted in ``lost``. A note reports them as soon as
+    an entry can be written again.
     """
 
     def __init__(self, folder: Path, limit: float | None = None, on_segment_end: Callable[[], None] = _nothing) -> None:
@@ -48,7 +48,7 @@ class SegmentLog:
         self._syncing.start()
 
     def write(self, entries: Sequence[Entry]) -> None:
-        """Write ``entries``, in the order of their arrival, through to the system."""
+        """Writes ``entries``, in the order of their arrival, through to the system."""
         left = list(entries)
         while left:
             if not self._is_of_segment(left[0].at):
@@ -58,7 +58,7 @@ class SegmentLog:
             left = left[len(now) :]
 
     def close(self) -> None:
-        """End the last segment."""
+        """Ends the last segment, and the thread that syncs it."""
         self._stop.set()
         self._syncing.join()
         self._end()
@@ -91,7 +91,7 @@ class SegmentLog:
                 (self._folder / LOGS).mkdir(exist_ok=True)
                 self._log = FrameLog(log_of(self._folder, name_segment(millisecond)))
             except FileExistsError:
-                millisecond += 0.001  # one was begun and ended within it
+                millisecond += 0.001  # a segment began and ended within this millisecond
             except OSError:
                 return
 
@@ -106,7 +106,7 @@ class SegmentLog:
         self._on_segment_end()
 
     def _sync_on(self) -> None:
-        """Every second, beside the writing: a slow disk must not hold it up."""
+        """Syncs the log every ``SYNC_S`` on a thread of its own, because a slow disk must not delay the writing."""
         while not self._stop.wait(SYNC_S):
             with self._lock:
                 if self._log is not None:

@@ -19,7 +19,7 @@ from coordinator.simulator.subscriber import Subscriber
 
 
 class SimulatedRecording(Subscriber):
-    """Writes what areas say into ``folder``; ``started_at``: what virtual time 0 is called, s since 1970."""
+    """Writes the messages of areas into ``folder``. ``started_at``: time of virtual time 0, s since 1970."""
 
     def __init__(self, folder: Path, started_at: float, limit_gb: float | None) -> None:
         self._folder, self._started_at, self._run = folder, started_at, ""
@@ -44,7 +44,7 @@ class SimulatedRecording(Subscriber):
         self._take(APPEARED if alive else VANISHED, at, live_key(self._run, "area", area, NO_INCARNATION))
 
     def close(self) -> None:
-        """End the recording; later calls do nothing."""
+        """Ends the recording, closes its logs and keeps its limit. Later calls find nothing left to do."""
         with self._stack.pop_all():
             pass
         if self._recorder is None:

@@ -1,1 +1,1 @@
-"""Recordings played back, on the simulator or to processes, and what came of it beside the record."""
+"""Recordings played back on the simulator or to processes, and the results compared with the record."""

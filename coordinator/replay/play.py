@@ -1,4 +1,4 @@
-"""Playing a recording back on one of the stages there are."""
+"""Playback of a recording on one of the two stages: the simulator, or processes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ OnScan = Callable[[Tick], None] | None
 def play_on_simulator(
     folder: Path, scenario: Scenario | None = None, speed: float | None = None, on_scan: OnScan = None
 ) -> Comparison:
-    """Play the recording at ``folder`` on the simulator; the arguments and errors are those of ``replay`` and
+    """Plays the recording at ``folder`` on the simulator. Arguments and errors are those of ``replay`` and
     ``load_replay_areas``.
     """
     files = load_replay_areas(folder, scenario)
@@ -28,10 +28,11 @@ def play_on_simulator(
 def play_on_processes(
     folder: Path, scenario: Scenario | None = None, speed: float | None = None, on_scan: OnScan = None
 ) -> Comparison:
-    """The same on processes of its own, which end with it.
+    """Plays the recording at ``folder`` on processes, which end with the playback. Arguments and errors are those of
+    ``replay`` and ``load_replay_areas``.
 
     Raises:
-        TransportError: they do not start, or one dies.
+        TransportError: the processes do not start, or a process dies.
     """
     files = load_replay_areas(folder, scenario)
     with ProcessStage(files) as stage:
@@ -40,4 +41,4 @@ def play_on_processes(
 
 
 def _ignore(tick: Tick) -> None:
-    """Nobody wants to know."""
+    """Does nothing."""

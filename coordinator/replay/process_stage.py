@@ -31,8 +31,8 @@ from coordinator.replay.scan_states import ScanStates
 from coordinator.replay.ticks import Tick
 from dsse_core.files.drafts import draft_folder, remove_leftovers
 
-PREFIX = "dsse-replay-"  # how the folders of area files and logs begin
-START_S = 60.0  # for a router to listen and for agents to join; a busy machine takes its time
+PREFIX = "dsse-replay-"  # of the names of the folders of area files and logs
+START_S = 60.0  # for a router to listen and for agents to join; a busy machine is slow
 LONGEST_SCAN_S = 30.0  # to wait for states that were good when recorded
 QUIET_S = 3.0  # without a better state, after which a scan that was not good when recorded has ended
 STEP_S = 0.002
@@ -41,9 +41,10 @@ ANY_PORT = "tcp/127.0.0.1:0"
 
 
 class ProcessStage:
-    """Plays scans to processes of ``files``, which begin and end with its block, and with this process if it is killed.
+    """Plays scans to processes of ``files``. The processes begin and end with the block, and end with this process if
+    it is killed.
 
-    ``endpoint``: where their router listens. ``on_state``: called with every state that comes, and when, s since 1970.
+    ``endpoint``: of their router. ``on_state``: called with the time, s since 1970, and the state of each message.
     """
 
     def __init__(
@@ -62,11 +63,11 @@ class ProcessStage:
         self._updates = Updates()
         self._presence = Presence()
         self._stack = ExitStack()
-        self._payloads: dict[str, bytes] = {}  # area -> its readings, repeated as a plant does
+        self._payloads: dict[str, bytes] = {}  # area -> its readings, repeated as by a plant
         self._publishers: dict[str, Callable[[bytes], None]] = {}
         self._over = threading.Event()
         self._states = ScanStates(0, 0.0)
-        self._ending: Counter[str] = Counter()  # area -> how many processes of it are to end, and have not yet
+        self._ending: Counter[str] = Counter()  # area -> number of its processes that are ordered to end and still run
 
     def __enter__(self) -> Self:
         temporary = Path(tempfile.gettempdir()).absolute()
@@ -93,10 +94,10 @@ class ProcessStage:
         self._stack.close()
 
     def play(self, tick: Tick) -> Mapping[str, StateMessage]:
-        """As ``Stage.play``; areas without readings are not there meanwhile.
+        """Plays a scan, see ``Stage.play``. Areas without readings in it are not on the bus meanwhile.
 
         Raises:
-            TransportError: a process has died.
+            TransportError: a process has died, or an area has not joined or left in time.
         """
         self._have_there(tick.readings.keys())
         self._states = states = ScanStates(tick.scan, time.monotonic())
@@ -134,7 +135,7 @@ class ProcessStage:
             session.watch_presence(tokens, lambda key, alive: self._updates.put((key, alive)))
 
     def _start(self, name: str) -> None:
-        """Start the agent of area ``name``."""
+        """Starts the agent of area ``name``."""
         path = self._folder / f"{name}.json"
         if not path.exists():
             content = replace(self._files[name], run=self.run, endpoints=(self.endpoint,), listen=())
@@ -148,7 +149,7 @@ class ProcessStage:
         return self._folder / f"{name}.log"
 
     def _have_there(self, names: Iterable[str]) -> None:
-        """Have the areas ``names`` there, and no others."""
+        """Starts and ends agents until exactly the areas ``names`` are on the bus."""
         wanted = set(names)
         there = {name for _, name in self._presence.names}
         for name in there - wanted:
@@ -167,7 +168,11 @@ class ProcessStage:
                 raise TransportError(f"the areas of the replay have not joined within {START_S:g} s")
 
     def _take(self, wait_s: float) -> None:
-        """Take in what arrives within ``wait_s``."""
+        """Takes in the updates that arrive within ``wait_s``.
+
+        Raises:
+            TransportError: a process has died.
+        """
         for item in self._updates.take(wait_s):
             match item:
                 case (str() as key, bool() as alive):
@@ -175,7 +180,7 @@ class ProcessStage:
                 case (str() as key, bytes() as payload):
                     self._take_state(key, payload)
                 case Ended(name) if self._ending[name]:
-                    self._ending[name] -= 1  # it may have been started again meanwhile
+                    self._ending[name] -= 1  # a new process of the area may run already
                 case Ended(name, _, code):
                     end = read_end(self._log_of(name))
                     raise TransportError(f"{name} of the replay died with {describe_end(code)}:\n{end}")

@@ -1,7 +1,7 @@
-"""A recording played back: its readings scan by scan to the same areas, and what they make of them beside the record.
+"""A recording played back: its readings go scan by scan to the same areas, whose states are compared with the record.
 
-The areas take the readings as they were used: ages have been counted already, so that nothing ages again, and a plant
-numbers the scans. Faults of links are those of the area files.
+The areas take the recorded readings with the standard deviations that were used. Ages are in them already, so readings
+do not age again. Scans have their recorded numbers. Faults of links are those of the area files.
 """
 
 from __future__ import annotations
@@ -33,21 +33,22 @@ TOLERANCE = 1e-9  # p.u. and rad
 
 
 class Stage(Protocol):
-    """Where a recording is played: the simulator, or processes."""
+    """Interface of the areas to which a recording is played: on the simulator, or in processes."""
 
     def play(self, tick: Tick) -> Mapping[str, StateMessage]:
-        """Give the areas the readings of one scan; area -> what it makes of them, at rest or when that takes long."""
+        """Gives the areas the readings of one scan. Returns area -> its state, at rest or after a time limit."""
         ...
 
 
 @dataclass
 class Comparison:
-    """What came of a replay.
+    """Result of a replay.
 
-    ``scans``: those that were played; ``left_out``: scan -> why it was not; ``unequal``: states of scans that differ
-    from the recorded ones at all; ``largest``: the largest difference of states that were recorded as good, of vm p.u.,
-    va deg and their standard deviations; ``of_others``: the same of those that were not. ``missing``: (scan, area) of
-    good states that the replay did not find.
+    ``scans``: number of scans played. ``compared``, ``not_good``: number of states compared that were recorded as good,
+    and as not good. ``left_out``: scan -> reason for not playing it. ``unequal``: number of states that differ at all
+    from the record. ``largest``, shape (4,): largest differences of the states recorded as good, of vm p.u., va deg and
+    the standard deviations of both. ``of_others``: the same of the states not recorded as good. ``missing``: (scan,
+    area) of states recorded as good that the replay did not find. ``notes``: lost parts of the recording.
     """
 
     scans: int = 0
@@ -61,7 +62,7 @@ class Comparison:
     notes: list[str] = field(default_factory=list)
 
     def describe_left_out(self) -> list[str]:
-        """Why scans were not played, each reason with the first of them."""
+        """A line for each reason for which scans were not played, with the first of these scans."""
         why: dict[str, list[int]] = defaultdict(list)
         for scan, reason in self.left_out.items():
             why[reason].append(scan)
@@ -69,21 +70,22 @@ class Comparison:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all that was recorded has been played, as far as the recording can tell."""
+        """True where all recorded scans have been played, and no part of the recording is known to be lost."""
         return not self.left_out and not self.notes
 
     @property
     def agrees(self) -> bool:
-        """Whether all good states of the scans that were played came out again."""
+        """True where the replay found all good states of the played scans again, within ``TOLERANCE``."""
         largest = np.append(self.largest[[0, 2]], np.radians(self.largest[[1, 3]]))
         return bool(self.compared) and not self.missing and bool((largest <= TOLERANCE).all())
 
 
 def load_replay_areas(folder: Path, scenario: Scenario | None = None) -> list[AreaFile]:
-    """The areas of the recording at ``folder`` as they take part in a replay; of ``scenario``, if one is given.
+    """The area files of the recording at ``folder``, or of ``scenario`` if given, changed for a replay: default rules
+    for readings, no clock error, no interval of scans.
 
     Raises:
-        InvalidInputError: the recording has no area files, and no scenario is given.
+        InvalidInputError: ``folder`` is no recording, or has no area files and no scenario is given.
     """
     about = read_about(folder)
     files = load_areas(folder) if scenario is None else area_files(scenario, about.run, ["tcp/127.0.0.1:7447"])
@@ -101,12 +103,12 @@ def replay(
     speed: float | None = None,
     on_scan: Callable[[Tick], None] = lambda tick: None,
 ) -> Comparison:
-    """Play the recording at ``folder`` on ``stage``; ``names``: of all areas there.
+    """Plays the recording at ``folder`` on ``stage``; ``names``: of all areas of the stage.
 
-    ``speed``: how much faster than it was recorded; None: as fast as it goes. ``on_scan``: called after each scan.
+    ``speed``: factor by which it is faster than the record; None: without waiting. ``on_scan``: called after each scan.
 
     Raises:
-        InvalidInputError: it is no recording, or holds no readings of these areas.
+        InvalidInputError: ``folder`` is no recording, or no scan has the readings of all areas that took part.
     """
     found = Comparison()
     pace = _Pace(speed)
@@ -124,7 +126,7 @@ def replay(
 
 
 def _find_hole(tick: Tick, names: Sequence[str]) -> str:
-    """What is missing of a scan; an area of which there is nothing was not there."""
+    """Reason not to play a scan; empty if it can be played. An area without any record did not take part in it."""
     if strange := (tick.readings.keys() | tick.estimates.keys()) - set(names):
         return f"area {listed(sorted(strange), MOST_NAMED)} is not among the area files"
     if lost := tick.estimates.keys() - tick.readings.keys():
@@ -135,7 +137,7 @@ def _find_hole(tick: Tick, names: Sequence[str]) -> str:
 
 
 class _Pace:
-    """Waits until it is time, ``speed`` times as fast as then."""
+    """Waits between scans as long as in the record, divided by ``speed``; never without a speed."""
 
     def __init__(self, speed: float | None) -> None:
         self._speed = speed
@@ -168,7 +170,9 @@ def _compare(found: Comparison, tick: Tick, states: Mapping[str, StateMessage]) 
 
 
 def _find_differences(recorded: Estimate, state: StateMessage) -> np.ndarray:
-    """The largest of each of the four quantities; where an angle counts from nowhere in one of them, infinity."""
+    """Largest difference of each of the four quantities, shape (4,); infinite where angles have a reference in one of
+    the two states alone.
+    """
     place = {bus: k for k, bus in enumerate(state.buses)}
     order = [place[bus] for bus in recorded.buses]
     played = np.array([state.vm, state.va, state.sigma_vm, state.sigma_va], dtype=float)[:, order]
@@ -180,7 +184,7 @@ def _find_differences(recorded: Estimate, state: StateMessage) -> np.ndarray:
 def make_telemetry_message(
     run: str, area: str, scan: int, snapshot: Snapshot, incarnation: Incarnation, now: float
 ) -> TelemetryMessage:
-    """The readings of ``snapshot`` as a plant would say them ``now``, s since 1970."""
+    """The readings of ``snapshot`` as the telemetry message of a plant at ``now``, s since 1970."""
     count = len(snapshot.meters)
     header = Header(run, PLANT, incarnation, scan, scan, now)
     columns = snapshot.meters, snapshot.values, snapshot.sigmas, (now,) * count, (True,) * count

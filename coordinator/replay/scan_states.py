@@ -1,4 +1,4 @@
-"""What areas show of one scan, as a replay keeps it."""
+"""States that areas publish of one scan, kept for a replay."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from agents.protocol.quality import GOOD
 
 
 class ScanStates:
-    """Of ``scan`` the best state of each area: the last good one, else the last. ``changed_at``: s."""
+    """The best state of each area of ``scan``: the last good one, else the last. ``changed_at``: time of the last
+    change of estimate or quality, s.
+    """
 
     def __init__(self, scan: int, began_at: float) -> None:
         self.scan = scan
@@ -17,7 +19,7 @@ class ScanStates:
         self.changed_at = began_at
 
     def take(self, at: float, state: StateMessage) -> None:
-        """Take in what an area shows at time ``at``, s."""
+        """Takes in a state published at time ``at``, s; ignores states of other scans."""
         if state.header.scan != self.scan:
             return
         name = state.header.sender
@@ -28,5 +30,5 @@ class ScanStates:
             self.best[name] = state
 
     def are_good(self, names: Iterable[str]) -> bool:
-        """Whether all areas ``names`` have shown a good state."""
+        """True where all areas ``names`` have published a good state."""
         return all(name in self.best and self.best[name].quality == GOOD for name in names)

@@ -13,12 +13,12 @@ from coordinator.simulator.simulator import STARTED_AT, SimulatedBus
 from dsse_core.grid.measurement import Measurement
 
 STEPS_PER_HEARTBEAT = 10
-LONGEST_SCAN_S = 60.0  # of virtual time, for areas that come to no rest: lossy links, liars
-QUIET_HEARTBEATS = 6  # after which a state that is not good stays so
+LONGEST_SCAN_S = 60.0  # of virtual time, for areas that do not come to rest: lossy links, false messages
+QUIET_HEARTBEATS = 6  # without change, after which a state that is not good stays so
 
 
 class _Bus(SimulatedBus):
-    """One whose plant reads a recording."""
+    """A simulated bus whose plant reads a recording."""
 
     def next_scan(
         self,
@@ -26,10 +26,10 @@ class _Bus(SimulatedBus):
         late_s: Mapping[str, float] | None = None,
         measured_at: Mapping[str, float] | None = None,
     ) -> None:
-        """None of its own."""
+        """Does nothing: the plant makes no scans of its own."""
 
     def play(self, tick: Tick) -> None:
-        """Say the readings of ``tick``."""
+        """Publishes the readings of ``tick``."""
         self.scan = tick.scan
         for name, snapshot in tick.readings.items():
             now = STARTED_AT + self.now
@@ -49,7 +49,7 @@ class SimulatorStage:
         self._heartbeat_s = min(content.beat_s for content in files)
 
     def play(self, tick: Tick) -> Mapping[str, StateMessage]:
-        """As ``Stage.play``; areas without readings are not there meanwhile."""
+        """Plays a scan, see ``Stage.play``. Areas without readings in it are not on the bus meanwhile."""
         for name in self._bus.files:
             if name not in tick.readings:
                 self._bus.kill(name)

@@ -1,4 +1,4 @@
-"""What came of a replay, as text."""
+"""The result of a replay as text."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dsse_core.printable import listed
 
 
 def format_replay(found: Comparison, where: str, wall_s: float) -> str:
-    """Lines: how much was played, how far it is from the record, and what was left out."""
+    """Lines on the scans played on the stage ``where``, their differences from the record, and the scans left out."""
     scans = f"{found.scans} of {found.scans + len(found.left_out)} scans" if found.left_out else f"{found.scans} scans"
     lines = [f"{scans} played on {where} in {wall_s:.1f} s, {found.compared} good states compared"]
     played = "" if found.is_whole else " of the scans that were played"

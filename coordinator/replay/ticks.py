@@ -1,4 +1,4 @@
-"""A recording read back: scan by scan what each area used, and what it made of that."""
+"""A recording read back: the readings and the estimate of each area, scan by scan."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from coordinator.recording.rows import ADDED, COLUMNS, Row
 from dsse_core.errors import LONGEST_LINE, InvalidInputError
 from dsse_core.printable import on_one_line, printable, shortened_inside
 
-MOST_BEHIND = 10  # scans by which an area may be behind the newest; what is older than that is complete
+MOST_BEHIND = 10  # scans by which an area may be behind the newest; older scans are complete
 MOST_NOTES = 50
 ESTIMATED = ("vm_pu", "va_deg", "sigma_vm_pu", "sigma_va_deg")
 _WHOSE = ("time", "scan", "area", "incarnation")
@@ -44,8 +44,10 @@ class Snapshot:
 
 @dataclass(frozen=True, repr=False)
 class Estimate:
-    """What an area showed of a scan: (4, n_bus) magnitude p.u. and angle deg of ``buses``, and their deviations; nan
-    where an angle counts from nowhere.
+    """The recorded estimate of an area of a scan.
+
+    ``values``, shape (4, n_bus): magnitude p.u. and angle deg of ``buses``, and the standard deviations of both; nan
+    where angles have no reference.
     """
 
     quality: str
@@ -58,10 +60,11 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """One scan. ``readings``, ``estimates``: area -> its last of the scan, the last good estimate if there is one.
+    """One recorded scan.
 
-    ``twice``: areas that took other readings in the course of it, as after a restart: which of them an estimate of
-    another area rests on is not recorded.
+    ``readings``: area -> its last readings of the scan. ``estimates``: area -> its last good estimate of the scan, or
+    its last one if none is good. ``twice``: areas that took other readings during the scan, for instance after a
+    restart. The record does not tell on which of these readings the estimates of other areas rest.
     """
 
     scan: int
@@ -71,26 +74,27 @@ class Tick:
 
     @property
     def at(self) -> float:
-        """When its readings were taken, s since 1970; nan without any."""
+        """Time at which the last of its readings were taken, s since 1970; nan without readings."""
         return max((snapshot.taken_at for snapshot in self.readings.values()), default=math.nan)
 
 
 @dataclass
 class _Scan:
-    """What has been read of one scan."""
+    """Rows of one scan read so far."""
 
-    # area -> its last message, and its rows by meter: an area repeats it
+    # area -> its last readings message, and the rows of it by meter; an area repeats the message
     readings: dict[str, tuple[tuple[Any, ...], dict[str, tuple[Any, ...]]]] = field(default_factory=dict)
-    twice: set[str] = field(default_factory=set)  # areas of which there was another before
+    twice: set[str] = field(default_factory=set)  # areas with an earlier, different readings message
     shown: dict[str, tuple[tuple[Any, ...], str]] = field(default_factory=dict)  # area -> key of an estimate, quality
     buses: dict[tuple[Any, ...], list[tuple[Any, ...]]] = field(default_factory=dict)  # key of an estimate -> rows
 
 
 def read_ticks(folder: Path, notes: list[str]) -> Iterator[Tick]:
-    """All scans in the recording at ``folder``, in order; what is lost of it is added to ``notes`` in words.
+    """All scans in the recording at ``folder``, in order. Adds a text to ``notes`` for each part that is lost, and for
+    each file that cannot be read, as Parquet where pyarrow is not installed.
 
     Raises:
-        InvalidInputError: it is no recording, or has Parquet and pyarrow is not installed.
+        InvalidInputError: ``folder`` is no recording.
     """
     read_about(folder)
     scans: dict[int, _Scan] = {}
@@ -98,7 +102,7 @@ def read_ticks(folder: Path, notes: list[str]) -> Iterator[Tick]:
         try:
             for table, row in rows_of_segment(folder, segment, NEEDED):
                 _take(scans, table, dict(zip(NEEDED[table], row, strict=True)), notes)
-        except InvalidInputError as error:  # a foreign file, or one that is damaged; the others are read all the same
+        except InvalidInputError as error:  # a foreign or damaged file; the other files are still read
             note(notes, str(error))
         complete = max(scans, default=0) - MOST_BEHIND
         for scan in sorted(scan for scan in scans if scan < complete):
@@ -108,7 +112,7 @@ def read_ticks(folder: Path, notes: list[str]) -> Iterator[Tick]:
 
 
 def note(notes: list[str], text: str) -> None:
-    """Add ``text`` to the ``notes`` of what a recording lacks: of thousands the first, and that there are more."""
+    """Adds ``text`` to ``notes`` on the lost parts of a recording, up to ``MOST_NOTES``; then a last note on more."""
     if len(notes) < MOST_NOTES:
         notes.append(shortened_inside(printable(on_one_line(text)), LONGEST_LINE))
     elif len(notes) == MOST_NOTES:
@@ -116,11 +120,13 @@ def note(notes: list[str], text: str) -> None:
 
 
 def rows_of_segment(folder: Path, segment: str, needed: Mapping[str, Sequence[str]]) -> Iterator[Row]:
-    """The rows of the tables of ``needed``, the columns that it names of each; table by table or in order; from the log
-    if that is there: closing was broken off, or has not begun. Details of what is lost begin with the file.
+    """The rows of ``segment`` in the tables of ``needed`` (table -> columns to read), with these columns.
+
+    The rows come from the log, in order, if it still exists because closing has not ended; else from the files, table
+    by table. Details of events on lost parts begin with the file.
 
     Raises:
-        InvalidInputError: a file cannot be read, or is none of a recording.
+        InvalidInputError: a file cannot be read, or is not part of a recording.
     """
     if (log := log_of(folder, segment)).exists():
         pick = {
@@ -138,7 +144,7 @@ def rows_of_segment(folder: Path, segment: str, needed: Mapping[str, Sequence[st
 
 
 def _name_file(path: Path, columns: Sequence[str], row: tuple[Any, ...]) -> tuple[Any, ...]:
-    """The ``row`` of an event; where something is lost, with the file in its details."""
+    """The ``row`` of an event, with the file in its details if the event is about a lost part."""
     event, details = columns.index("event"), columns.index("details")
     if row[event] not in LOST:
         return row

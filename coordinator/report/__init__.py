@@ -1,1 +1,1 @@
-"""What people read and look at: texts, tables and pictures."""
+"""Reports for people: texts, tables and pages with figures."""

@@ -14,7 +14,7 @@ MAX_NAMED = 5
 
 
 def format_areas(scenario: Scenario) -> str:
-    """A row for each area (its buses, neighbours, meters) and what matters about all of them."""
+    """A row for each area (its buses, neighbours, meters), and a summary of all areas."""
     partition = scenario.partition
     owned = _count_owned(partition)
     meters = partition.split_meters(scenario.meters)
@@ -67,7 +67,7 @@ def format_area_tables(partition: Partition) -> str:
 
 
 def _count_owned(partition: Partition) -> dict[str, int]:
-    """Area -> how many buses it owns."""
+    """Area -> number of buses that it owns."""
     return {area.name: len(area.network.buses) - len(area.not_owned) for area in partition.areas}
 
 

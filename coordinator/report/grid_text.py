@@ -1,4 +1,4 @@
-"""What the command line prints of a whole grid: power flow and estimate, as plain text; and how tables look."""
+"""Plain text of the command line for a whole grid: power flow, estimate, and the layout of tables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SMALLEST_SHOWN = 1e-6  # kW, kvar, A
 
 
 def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Columns padded to their widest cell, all printable; the first is flush left, the others right."""
+    """Table of columns padded to their widest cell, all printable; the first is flush left, the others right."""
     columns = [list(map(printable, column)) for column in zip(*rows, strict=True)] if rows else [[] for _ in header]
     table = [[name, *column] for name, column in zip(header, columns, strict=True)]
     widths = [max(map(len, column)) for column in table]
@@ -30,7 +30,7 @@ def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _join_cells(header: Sequence[str], columns: Sequence[np.ndarray]) -> str:
-    """As ``format_table``, of cells (width, n) of ``number_cells``: there may be a million."""
+    """Table with the layout of ``format_table``, of cells (width, n) of ``number_cells``, for up to a million rows."""
     widths = [max(len(name), len(column)) for name, column in zip(header, columns, strict=True)]
     padded = [name.rjust(width) for name, width in zip(header, widths, strict=True)]
     titles = "  ".join([header[0].ljust(widths[0]), *padded[1:]])
@@ -46,7 +46,7 @@ def _join_cells(header: Sequence[str], columns: Sequence[np.ndarray]) -> str:
 
 
 def format_state(buses: Table, branches: Table) -> str:
-    """Voltages and injections of all buses, and what flows in the branches."""
+    """Voltages and injections of all buses, and flows of the branches in service."""
     columns = [
         _name_rows(buses.bus, buses.name),
         write_fixed(buses.vm_pu, 5),
@@ -60,7 +60,7 @@ def format_state(buses: Table, branches: Table) -> str:
 
 
 def format_power_flow(result: PowerFlowResult, tables: Results) -> str:
-    """Voltages and injections of all buses, what flows in the branches, and the losses."""
+    """Voltages and injections of all buses, flows of the branches in service, and the losses."""
     losses = result.losses * base_kw(result.network)
     steps = "backward and forward sweeps" if result.method == "sweep" else "Newton-Raphson steps"
     total = f"losses {_power(losses.real)} kW, {_power(losses.imag)} kvar; {result.iterations} {steps}"
@@ -68,7 +68,7 @@ def format_power_flow(result: PowerFlowResult, tables: Results) -> str:
 
 
 def format_estimate(report: BadDataReport, tables: Results) -> str:
-    """The centralised estimate, beside the truth where it is known, what flows, and its bad-data report."""
+    """The centralised estimate, beside the truth where it is known, flows of the branches, and its bad-data report."""
     buses = tables.buses
     with_truth = not np.isnan(buses.true_vm_pu).all()
     true = ("true",) if with_truth else ()
@@ -88,7 +88,7 @@ def format_estimate(report: BadDataReport, tables: Results) -> str:
 
 
 def _format_branches(branches: Table) -> str:
-    """Flows at the from end, currents and losses of the branches in service; what is not known of all is left out."""
+    """Flows at the from end, currents and losses of the branches in service, without columns known of no branch."""
     larger_at_from = branches.i_from_a >= branches.i_to_a
     shown = {
         "P kW": branches.p_from_kw,
@@ -107,13 +107,13 @@ def _format_branches(branches: Table) -> str:
 
 
 def _describe_backend(report: BadDataReport) -> str:
-    """By which the state was found, and why not by the compiled one."""
+    """The back end that found the state, and the reason if it was not the compiled one."""
     radial = report.result.plan.radial
     return f"{report.result.backend}: {radial}" if isinstance(radial, str) else report.result.backend
 
 
 def format_bad_data(report: BadDataReport) -> list[str]:
-    """The chi-square test, what was removed, what remains, one line each."""
+    """Lines on the chi-square test, the removed measurements, the bad data that remain, and the critical meters."""
     lines = [
         f"J = {report.objective:.4g} with {report.degrees_of_freedom} degrees of freedom, "
         f"limit {report.chi_square_limit:.4g}; {report.result.iterations} iterations, "
@@ -141,7 +141,7 @@ def format_bad_data(report: BadDataReport) -> list[str]:
 
 
 def _format_suspect(suspect: SuspectKept | None) -> str:
-    """Why bad data that are still detected were not removed."""
+    """Reason, for the end of a line, why bad data that are still detected were not removed."""
     if suspect is None:
         return ", but no normalised residual stands out"
     reason = {
@@ -153,7 +153,7 @@ def _format_suspect(suspect: SuspectKept | None) -> str:
 
 
 def _name_rows(ids: Sequence[str] | np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """What the rows of a table are called, cells: their ids, and a name beside where there is one."""
+    """Labels of the rows of a table as cells: their ids, each with its name if it has one."""
     called = list(map(str, ids.tolist())) if isinstance(ids, np.ndarray) else list(ids)
     if any(names):
         short = (shortened(name, LONGEST_NAME_SHOWN) for name in names)
@@ -162,7 +162,7 @@ def _name_rows(ids: Sequence[str] | np.ndarray, names: Sequence[str]) -> np.ndar
 
 
 def _powers(values: np.ndarray) -> np.ndarray:
-    """``_power`` of each of ``values`` (n,): cells."""
+    """Cells with the text of ``_power`` for each of ``values`` (n,)."""
     size = abs(values)
     cells = np.where(np.isnan(values), ord("-"), ord("0")).astype(np.uint8)[None]
     small = (size >= SMALLEST_SHOWN) & (size < 1)
@@ -171,7 +171,7 @@ def _powers(values: np.ndarray) -> np.ndarray:
 
 
 def _power(value: float) -> str:
-    """Of kW, kvar, A and percent: two decimals, and more digits of small values."""
+    """Text of a value in kW, kvar, A or percent: two decimals, or three significant digits below 1; "-" for nan."""
     if math.isnan(value):
         return "-"
     return "0" if abs(value) < SMALLEST_SHOWN else f"{value:.2f}" if abs(value) >= 1 else f"{value:.3g}"

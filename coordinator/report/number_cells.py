@@ -1,7 +1,7 @@
-"""Columns of numbers as text, all at once: cells are columns of characters, of one width, flush right.
+"""Columns of numbers as text, all at once: cells are columns of characters, of equal width, flush right.
 
-A number is written as ``%`` writes it, to the last digit. It is scaled to a whole number first; where the product is so
-near to a half that its own rounding could decide, or the number is too large, ``%`` itself writes it.
+The text of a number equals that of ``%`` to the last digit. The number is scaled to a whole number first. Where the
+product is so near to a half that its rounding error could decide, or the number is too large, ``%`` itself writes it.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ import numpy as np
 
 BLANK, ZERO, MINUS, POINT = b" 0-."
 MOST_WHOLE = 1e15  # of a scaled number; up to here its rounding is known
-ROUNDING = 4 * np.finfo(float).eps  # of a scaled number, of itself: more than a product can be off
+ROUNDING = 4 * np.finfo(float).eps  # relative error of a scaled number: more than that of a product
 LEAST_DECADE = -4  # below 1e-4 %g writes an exponent
 POWERS = np.array([float(f"1e{k}") for k in range(LEAST_DECADE, 16)])
 
 
 def write_fixed(values: np.ndarray, digits: int) -> np.ndarray:
-    """``%.{digits}f`` of ``values`` (n,): characters (width, n), uint8."""
+    """Text ``%.{digits}f`` of ``values`` (n,): characters (width, n), uint8."""
     whole, known = _round(values, digits)
     cells = _write_whole(np.where(known, whole, 0).astype(np.int64), np.signbit(values), digits)
     return _overwrite(cells, ~known, f"%.{digits}f", values)
 
 
 def write_significant(values: np.ndarray, digits: int) -> np.ndarray:
-    """``%.{digits}g`` of ``values`` (n,): characters (width, n), uint8."""
+    """Text ``%.{digits}g`` of ``values`` (n,): characters (width, n), uint8."""
     decade = np.searchsorted(POWERS, abs(values), side="right") - 1 + LEAST_DECADE
     known = (decade >= LEAST_DECADE) & (decade < digits)
     decimals = np.where(known, digits - 1 - decade, 0)
@@ -43,7 +43,7 @@ def write_significant(values: np.ndarray, digits: int) -> np.ndarray:
 
 
 def write_texts(texts: Sequence[str]) -> np.ndarray:
-    """Each of ``texts``: characters (width, n), flush left, uint8 or, where one is not ASCII, uint32."""
+    """Characters (width, n) of ``texts``, flush left; uint8 or, where a text is not ASCII, uint32."""
     as_bytes = "".join(texts).isascii()
     table = np.array(texts or [""], dtype=np.bytes_ if as_bytes else np.str_)
     cells = table.view(np.uint8 if as_bytes else np.uint32).reshape(len(table), -1)[: len(texts)].T
@@ -51,7 +51,7 @@ def write_texts(texts: Sequence[str]) -> np.ndarray:
 
 
 def place(cells: np.ndarray, here: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """``cells`` (width, n), made as wide as ``part`` (width, k) wants it, with ``part`` in the k columns ``here``."""
+    """``cells`` (width, n), widened to the width of ``part`` (width, k), with ``part`` in the k columns ``here``."""
     missing = len(part) - len(cells)
     if missing > 0:
         cells = np.concatenate([np.full((missing, cells.shape[1]), BLANK, dtype=np.uint8), cells])
@@ -61,7 +61,7 @@ def place(cells: np.ndarray, here: np.ndarray, part: np.ndarray) -> np.ndarray:
 
 
 def _round(values: np.ndarray, digits: np.ndarray | int) -> tuple[np.ndarray, np.ndarray]:
-    """Sizes of ``values`` (n,) in units of the last of ``digits`` after the point, and of which these are sure."""
+    """Sizes of ``values`` (n,) in units of the last of ``digits`` after the point, and a mask of those surely right."""
     with np.errstate(invalid="ignore", over="ignore"):
         scaled = abs(values) * 10.0 ** np.asarray(digits)
         to_half = abs(scaled - np.floor(scaled) - 0.5)
@@ -91,7 +91,7 @@ def _write_whole(number: np.ndarray, is_negative: np.ndarray, digits: int) -> np
 
 
 def _overwrite(cells: np.ndarray, here: np.ndarray, form: str, values: np.ndarray) -> np.ndarray:
-    """``cells`` with what ``%`` makes of those of ``values`` that are ``here``."""
+    """``cells`` with the text by ``%`` of those of ``values`` in the mask ``here``."""
     if not here.any():
         return cells
     texts = [form % value for value in values[here].tolist()]

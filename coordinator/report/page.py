@@ -1,6 +1,6 @@
-"""A report as one HTML file that needs nothing else: no script, no request; all text in it escaped.
+"""A report as a single HTML file without scripts and requests, with all text escaped.
 
-``report.html.j2`` beside this file says how it looks, on screens light and dark and on paper.
+``report.html.j2`` beside this file is its template, with the style for light and dark screens and for paper.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ DRAWN_BY = ("matplotlib", "jinja2")
 
 @dataclass(frozen=True)
 class PageTable:
-    """A table as a page shows it, its cells as text. ``note``: below its title. ``left_out``: rows not shown."""
+    """A table of a page, its cells as text. ``note``: below its title. ``left_out``: number of rows not shown."""
 
     title: str
     header: Sequence[str]
@@ -40,9 +40,9 @@ class PageTable:
 
 @dataclass(frozen=True)
 class Page:
-    """What a report says, from top to bottom.
+    """The content of a report, from top to bottom.
 
-    ``good``: whether ``outcome`` is as wished, None where there is no such thing.
+    ``good``: True where ``outcome`` is a success, False where it is a failure, None where it is neither.
     """
 
     title: str
@@ -58,10 +58,10 @@ class Page:
 
 
 def write_page(page: Page, folder: Path) -> Path:
-    """Write ``report.html``; its path.
+    """Writes ``report.html`` into ``folder``, and returns its path.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     path, text = folder / REPORT, render_page(page)
     with whole_file(path) as draft:
@@ -77,7 +77,7 @@ def render_page(page: Page) -> str:
 
 
 def list_versions() -> dict[str, str]:
-    """Python and the packages that matter, those that draw included."""
+    """Versions of Python and of the packages that the results and the figures depend on: name -> version."""
     found = {name: version_of(name) or "not installed" for name in (*DISTRIBUTIONS, *DRAWN_BY)}
     return {"Python": platform.python_version(), **found}
 
@@ -97,5 +97,5 @@ def _load_template() -> jinja2.Template:
 
 
 def _as_printable(value: Any) -> Any:
-    """What a browser shows as nothing, or turns around, is shown as an escape."""
+    """``value`` as printable text: characters that a browser hides or reorders become escapes. Markup stays."""
     return value if isinstance(value, Markup) else printable(value)

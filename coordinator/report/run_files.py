@@ -1,4 +1,4 @@
-"""What a run leaves to be looked at: its figures, and ``report.html``."""
+"""Files of a run for readers: its figures, and ``report.html``."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from coordinator.report.run_report import write_run_report
 
 
 def write_report(result: RunResult, formats: Sequence[str], arguments: Sequence[str]) -> RunResult:
-    """Write the figures in each of ``formats`` and the report into the run folder; the result tells what is missing.
+    """Writes the report, and the figures in each of ``formats``, into the run folder.
 
-    ``arguments``: of the command ``dsse`` that repeats the run.
+    ``arguments``: of the command ``dsse`` that repeats the run. Returns ``result``; its ``unwritten`` names the first
+    file that could not be written, and the reason.
     """
     drawings = draw_run(result)
     try:

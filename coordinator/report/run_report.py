@@ -1,4 +1,4 @@
-"""``report.html`` of one run: verdict, figures, tables, settings, versions, and how to repeat it."""
+"""``report.html`` of one run: verdict, figures, tables, settings, versions, and the command that repeats it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WORDS_OF: dict[str, dict[str, str]] = {
     "unit": {"pu": "p.u.", "deg": "degrees", "kw": "kW", "kvar": "kvar", "a": "A"},
 }
 Column = tuple[str, str, str]
-"""Its heading in words, its name in the table, and how its numbers are written, or what words stand for its texts."""
+"""Its heading in words, its name in the table, and the format of its numbers or the key in WORDS_OF of its texts."""
 OF_BUSES: tuple[Column, ...] = (
     ("bus", "bus", "d"),
     ("name", "name", ""),
@@ -73,16 +73,16 @@ OF_AREAS: tuple[Column, ...] = (
 
 
 def write_run_report(result: RunResult, drawings: Sequence[Drawing], arguments: Sequence[str]) -> Path:
-    """Write the report into the run folder; its path. ``arguments``: of the command ``dsse`` that was given.
+    """Writes the report into the run folder, and returns its path. ``arguments``: of the command ``dsse`` of the run.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     return write_page(make_run_page(result, drawings, arguments), result.folder)
 
 
 def make_run_page(result: RunResult, drawings: Sequence[Drawing], arguments: Sequence[str]) -> Page:
-    """What the report of a run says."""
+    """The content of the report of a run. ``arguments``: of the command ``dsse`` of the run."""
     scenario, verdict = result.scenario, result.verdict
     outcome = name_outcome(verdict)
     return Page(
@@ -108,7 +108,7 @@ def make_run_page(result: RunResult, drawings: Sequence[Drawing], arguments: Seq
 
 
 def _tabulate(title: str, table: Table, columns: Sequence[Column], note: str = "") -> PageTable:
-    """The columns in which something is known, rounded for reading."""
+    """The first ``MAX_ROWS`` rows of ``table``, with the columns that have values, rounded for reading."""
     cells = [(heading, _write_cells(table[name][:MAX_ROWS], form)) for heading, name, form in columns]
     filled = [(heading, column) for heading, column in cells if any(column) or not len(table)]
     rows = list(zip(*(column for _, column in filled), strict=True))

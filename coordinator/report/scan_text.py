@@ -1,4 +1,4 @@
-"""What the command line prints of many scans of one grid."""
+"""Plain text of the command line for many scans of one grid."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ HEADER = ("scan", "readings", "J", "limit", "iterations", "lowest vm p.u.", "at 
 
 
 def format_scans(found: ScanEstimates, tables: ScanTables) -> str:
-    """A line for each scan that is estimated, then what failed and why."""
+    """A line for each estimated scan, a total, then a line for each failed scan with the reason."""
     scans = tables.scans
     rows = []
     for k in range(len(scans)):

@@ -1,4 +1,4 @@
-"""What a report says of how a result came about: the settings of its scenario, and the command that repeats it."""
+"""The origin of a result, for its report: the settings of its scenario, and the command that repeats it."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ NEW_FOLDER = "NEW_FOLDER"  # an --out that has been used is not empty
 
 @dataclass(frozen=True)
 class Origin:
-    """How a result came about.
+    """The origin of a result.
 
-    ``settings``: name -> value. ``changes``: key -> value instead of the scenario file's. ``source``: the lines of that
-    file. ``command``: how to repeat it.
+    ``settings``: name -> value. ``changes``: key -> value that replaces that of the scenario file. ``source``: the
+    lines of that file. ``command``: the command that repeats it.
     """
 
     settings: Mapping[str, object]
@@ -33,7 +33,7 @@ class Origin:
 
 
 def find_origin(scenario: Scenario, arguments: Sequence[str], varied: Collection[str] = ()) -> Origin:
-    """That of a result of ``scenario`` made by ``dsse`` with ``arguments``; what is ``varied`` is no setting."""
+    """The origin of a result of ``scenario`` made by ``dsse`` with ``arguments``, without the settings ``varied``."""
     return Origin(
         settings={name: value for name, value in list_settings(scenario).items() if name not in varied},
         changes={key: write_value(value) for key, value in scenario.changes.items()},
@@ -44,7 +44,7 @@ def find_origin(scenario: Scenario, arguments: Sequence[str], varied: Collection
 
 
 def _read_lines(path: Path) -> list[str]:
-    """The lines of a file, the first MAX_SOURCE_LINES of them; why there are none, where it cannot be read any more."""
+    """The first MAX_SOURCE_LINES lines of a file; a comment line with the reason if it cannot be read any more."""
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError as error:
@@ -54,7 +54,7 @@ def _read_lines(path: Path) -> list[str]:
 
 
 def list_settings(scenario: Scenario) -> dict[str, object]:
-    """What was in effect, options of the command included: name in words -> value."""
+    """Settings in effect, options of the command included: name in words -> value."""
     network, run, limits, tolerances = scenario.network, scenario.run, scenario.limits, scenario.tolerances
     telemetry = scenario.telemetry
     gross = [f"{meter}: {sigmas:g} standard deviations" for meter, sigmas in telemetry.gross_errors.items()]
@@ -80,7 +80,7 @@ def list_settings(scenario: Scenario) -> dict[str, object]:
 
 
 def describe_links(scenario: Scenario) -> str:
-    """The faults that messages meet, in the words of the scenario file; where links differ, how many have which."""
+    """The faults of links in the words of the scenario file; where links differ, with the number of links of each."""
     counts: dict[str, int] = {}
     for faults in scenario.faults.links.values():
         text = _describe_link(faults)
@@ -104,7 +104,7 @@ def _describe_event(event: FaultEvent) -> str:
 
 
 def write_command(arguments: Sequence[str]) -> str:
-    """The command ``dsse`` with ``arguments`` as a shell takes it, with a new folder for what it writes."""
+    """The command line of ``dsse`` with ``arguments``, quoted for a shell; ``NEW_FOLDER`` replaces the --out folder."""
     shown = []
     is_folder = False
     for argument in arguments:
@@ -119,7 +119,7 @@ def write_command(arguments: Sequence[str]) -> str:
 
 
 def guess_arguments(scenario: Scenario, command: str, links: Mapping[str, float] | None = None) -> list[str]:
-    """Arguments of ``dsse`` that repeat what a program has asked for: the scenario on disk, and its changes."""
+    """Arguments of ``dsse`` that repeat a run started by a program: the scenario on disk, and its changes."""
     options = ["--seed", str(scenario.seed), "--strategy", scenario.strategy]
     options += ["--timeout", f"{scenario.run.timeout_s:g}"]
     for key, value in scenario.changes.items():

@@ -1,4 +1,4 @@
-"""What the command line prints of areas: the verdict of a run and what a check has found, as plain text."""
+"""Plain text of the command line for areas: the verdict of a run, and the summary of a check."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TextTable = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 
 def format_verdict(result: RunResult) -> str:
-    """The verdict of a run: a line that says it, the table of gaps, the areas, what was wrong, where the files are."""
+    """The verdict of a run as text: outcome, reason, table of gaps, table of areas, findings, and the run folder."""
     verdict = result.verdict
     lines = [f"{name_outcome(verdict)}: {printable(describe_run(result.scenario))}"]
     if verdict.reason:
@@ -28,7 +28,7 @@ def format_verdict(result: RunResult) -> str:
 
 
 def name_outcome(verdict: Verdict) -> str:
-    """Whether the areas agree, and after what time."""
+    """The outcome in words, consensus or not, with its time."""
     outcome, time = "consensus" if verdict.consensus else "NO CONSENSUS", f"{verdict.wall_s:.2f} s"
     if verdict.virtual_s is not None:
         time = f"{verdict.virtual_s:.2f} s of virtual time, computed in {time}"
@@ -36,7 +36,7 @@ def name_outcome(verdict: Verdict) -> str:
 
 
 def describe_run(scenario: Scenario) -> str:
-    """What was run, in a few words."""
+    """The scenario of a run in a few words: name, buses, areas, strategy, seed."""
     buses, areas = len(scenario.network.buses), len(scenario.partition.areas)
     return f"{scenario.name}, {buses} buses in {areas} areas, strategy {scenario.strategy}, seed {scenario.seed}"
 
@@ -72,7 +72,9 @@ def _figures(of: AreaResult | Verdict, with_errors: bool) -> tuple[str, ...]:
 
 
 def list_findings(result: RunOutcome) -> list[str]:
-    """Why areas are not good, remarks, rejections and removed meters, one line each; nothing where all is well."""
+    """Lines on faults, duplicates, notes of areas, rejections, removed meters and the centralised estimate; empty where
+    there is nothing to report.
+    """
     lines = []
     if result.faults:
         lines.append("faults: " + ", ".join(f"{count} {kind}" for kind, count in sorted(result.faults.items())))
@@ -99,7 +101,7 @@ def list_findings(result: RunOutcome) -> list[str]:
 
 
 def format_check(scenario: Scenario) -> str:
-    """What a checked scenario consists of."""
+    """Summary of a checked scenario: its network, meters and areas."""
     partition = scenario.partition
     lines = [
         f"{scenario.name} is sound: {scenario.description}",
@@ -115,7 +117,7 @@ def format_check(scenario: Scenario) -> str:
 
 
 def format_area_check(file: AreaFile) -> str:
-    """What a checked area file consists of."""
+    """Summary of a checked area file: its area, neighbours and split."""
     neighbours = ", ".join(n.area for n in file.area.neighbours) or "none"
     split = file.identity
     is_sound = "is sound" if split.is_sound else "can be used, and no area will be good"

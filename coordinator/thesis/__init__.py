@@ -1,1 +1,1 @@
-"""The tables of the thesis beside ours: V. Garaga, West Virginia University, chapter 5."""
+"""The tables of the thesis beside results of this program: V. Garaga, West Virginia University, chapter 5."""

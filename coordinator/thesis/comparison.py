@@ -63,7 +63,7 @@ def compare_tables(numbers: Collection[str] = ()) -> list[ComparedTable]:
 
 
 def as_one_table(compared: Sequence[ComparedTable]) -> Table:
-    """One row per printed row; ``misprint`` says what cannot be meant in it, else it is empty."""
+    """A table with one row per printed row. Column ``misprint`` describes the misprints of the row, or is empty."""
     columns: dict[str, list[object]] = {}
     for table in compared:
         printed = table.printed
@@ -107,7 +107,7 @@ def format_compared(table: ComparedTable) -> str:
 
 
 def format_summary(compared: Sequence[ComparedTable]) -> str:
-    """One line per table: how far apart they are at most, misprints left out."""
+    """A line per table with its largest differences, misprints left out."""
     rows = [
         (
             *(table.printed.number, str(len(table.buses))),

@@ -1,4 +1,4 @@
-"""What of ours each table of the thesis is compared with, and how it is computed."""
+"""Counterparts: the results of this program that each table of the thesis is compared with, and their computation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from scenarios.telemetry import Telemetry, make_telemetry
 
 
 class What(StrEnum):
-    """The states that the thesis prints; the text says what ours are."""
+    """The kinds of states that the thesis prints; the text describes the state of this program compared with them."""
 
     POWER_FLOW = "power flow"
     CENTRALISED = "centralised estimate, exact readings of the whole grid"
@@ -62,20 +62,20 @@ _UNSORTED: Mapping[str, Counterpart] = {
     "5.24": Counterpart("ieee33-thesis", What.WHOLE),
 }
 COUNTERPARTS = {number: _UNSORTED[number] for number in sorted(_UNSORTED, key=lambda n: int(n.removeprefix("5.")))}
-"""Number of the table, in the order of the thesis -> what of ours it is compared with."""
+"""Number of the table, in the order of the thesis -> its counterpart."""
 
 States = Mapping[int, tuple[float, float]]
 """Bus -> magnitude in p.u. and angle in degrees."""
 
 
 class ThesisRuns:
-    """The runs of the thesis's scenarios, on the simulator, each done once."""
+    """Runs of the scenarios of the thesis on the simulator; each is run once, and its result is kept."""
 
     def __init__(self) -> None:
         self._run = functools.cache(_run)
 
     def find(self, counterpart: Counterpart) -> States:
-        """The states that ``counterpart`` names.
+        """The states of ``counterpart``.
 
         Raises:
             DsseError: the run ends without consensus.
@@ -110,7 +110,9 @@ def _run(name: str) -> tuple[RunOutcome, Telemetry]:
 
 
 def _estimate_from_exact_readings(name: str) -> States:
-    """Of the whole grid, by the meters of the thesis: it does not say which noise its own readings have."""
+    """Estimate of the whole grid with the meters of the thesis and exact readings, because the thesis does not give the
+    noise of its readings.
+    """
     scenario = load_scenario(name, changes={"telemetry.source": "network"})
     result = process_bad_data(scenario.network, make_telemetry(scenario).union).result
     return _states(scenario.network.row, result.vm, result.va)
