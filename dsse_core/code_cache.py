@@ -1,4 +1,4 @@
-"""How functions are compiled, and their cache: numba's, in the places of ``code_places`` only."""
+"""Compiling of functions with numba, and numba's cache of their code, in the places of ``code_places`` only."""
 
 from __future__ import annotations
 
@@ -26,11 +26,15 @@ from dsse_core.code_places import (
 )
 
 not_kept: list[OSError] = []
-"""Why code of this process could not be written."""
+"""Errors of writing compiled code; the process goes on with code that is not kept."""
 
 
 def note_whole(what: Whole) -> None:
-    """Note where compiled code is kept that all of ``what`` is there, if it is."""
+    """Writes a note beside the compiled code that all of ``what`` is kept; the caller has run all of it before.
+
+    No note is written where no folder can keep code, where some code could not be written, where compiling is off, or
+    where there is a note already.
+    """
     folder = find_folder_to_keep_in()
     if folder is None or not_kept or getattr(config, "DISABLE_JIT", False) or has_whole(what):
         return
@@ -55,7 +59,7 @@ class KeptCode:
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         for kept in self._caches.values():
-            with contextlib.suppress(OSError, EOFError, pickle.UnpicklingError):  # unreadable or broken: compile anew
+            with contextlib.suppress(OSError, EOFError, pickle.UnpicklingError):  # unreadable or broken: compile again
                 if (code := kept.load_overload(sig, target_context)) is not None:
                     return code
         return None
@@ -66,7 +70,7 @@ class KeptCode:
             try:
                 with for_owner_to_write():
                     self._caches[folder].save_overload(sig, data)
-            except OSError as error:  # a full disk: the next process compiles anew
+            except OSError as error:  # a full disk: the next process compiles again
                 not_kept.append(error)
 
     def enable(self) -> None: ...
@@ -77,11 +81,11 @@ class KeptCode:
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """``function`` compiled once for all processes; for each anew where there is no safe folder to keep it in.
+    """``function`` compiled once for all processes; once in each process where no safe folder can keep the code.
 
-    Other threads go on while it runs: where nobody takes in what the bus receives, a link counts as lost. For each
-    view of an array, and each array given to a function, references are counted: inside the loops over all buses there
-    are neither, or these counts take as long as the work.
+    The compiled function lets other threads go on while it runs: a process that takes in no messages from the bus loses
+    its links. Numba counts references for each view of an array, and for each array given to a function. The loops over
+    all buses have neither, as these counts would take as long as the work.
     """
     dispatcher = njit(error_model="numpy", fastmath={"contract"}, nogil=True)(function)
     if hasattr(dispatcher, "_cache"):  # not where NUMBA_DISABLE_JIT is set
@@ -90,7 +94,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 
 class _Locator:
-    """What numba asks where a function's code is kept, and whether it is still that of its source."""
+    """Locator of a function's code for numba: the place of the code, and the stamp of the sources of the code."""
 
     def __init__(self, line: int, file: str) -> None:
         self._py_file, self._line = file, line
@@ -124,7 +128,10 @@ def _cache_in(folder: Path) -> type[FunctionCache]:
 
 
 class _Listener(event.Listener):
-    """Tells when functions of ours are compiled, those that they call included: the outermost begins and ends."""
+    """Listener of numba that reports to ``compiling`` when functions of this package are compiled.
+
+    Compiling a function compiles those that it calls; only the beginning and the end of the outermost are reported.
+    """
 
     depth = 0
 

@@ -1,9 +1,11 @@
-"""Where compiled code is kept, and from where it may be loaded: never from a place that another unprivileged user can
-write, as loading it is running it; and whether all that is needed is there, found without numba.
+"""Places of compiled code: folders in which it is kept and from which it is loaded.
+
+Loading compiled code runs it. It is never loaded from a place that another unprivileged user can write. This module
+finds without numba which compiled code is there.
 
 Places, in this order: the folder in NUMBA_CACHE_DIR alone, if that is set; else ``__pycache__`` beside this file, which
 an administrator may have filled for all users, and ``dsse`` in the cache folder of the user. Code is loaded from the
-first that has it and kept in the first that can be written. Where there is none, each process compiles anew.
+first place that has it and kept in the first that can be written. Without any place each process compiles for itself.
 """
 
 from __future__ import annotations
@@ -28,13 +30,13 @@ BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 SOURCES = Path(__file__).resolve().parent
 CODE = (".nbi", ".nbc", ".whole")  # numba's index and data files, and our notes
 Whole = Literal["exchange", "estimate", "batch", "sparse"]
-"""What is compiled together: steps of an area; an estimate and its bad data of a radial network; many of these, and of
-power flows, at once; elimination in networks of any shape."""
+"""Code that is compiled together: steps of an area; an estimate and its bad data of a radial network; many of these,
+and of power flows, at once; elimination in networks of any shape."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A folder for compiled code. ``fault``: why nothing is loaded from it nor kept there, if so."""
+    """A folder for compiled code. ``fault``: the reason not to use it, as text; None where it is used."""
 
     folder: Path
     fault: str | None
@@ -42,7 +44,7 @@ class Place:
 
 @cache
 def find_places() -> tuple[Place, ...]:
-    """All places that are looked at, in their order.
+    """All places of compiled code, in the order of their use.
 
     Raises:
         InvalidInputError: NUMBA_CACHE_DIR is set to a place that others can write.
@@ -62,9 +64,10 @@ def find_places() -> tuple[Place, ...]:
 
 
 def find_fault(folder: Path) -> str | None:
-    """Who but root and the user of this process could have put code into ``folder``, in words; None: nobody.
+    """The reason why another user than root and that of this process may have put code into ``folder``, as text.
 
-    Looked at are the folder, all folders above it, and the compiled code in it; what does not exist yet is no fault.
+    None where no other user can have. Checked are the folder, all folders above it, and the compiled code in it. A path
+    that does not exist yet is no fault; a path that cannot be read, or is neither folder nor file, is a fault.
     """
     if not operating_system.has_owners():
         return None  # Windows: permissions are not in these bits, and folders of users are theirs
@@ -73,7 +76,7 @@ def find_fault(folder: Path) -> str | None:
         for path in (folder, *folder.parents):
             with contextlib.suppress(FileNotFoundError):
                 status = path.lstat()
-                # where a folder above is sticky, nobody renames what is another's
+                # in a sticky folder above, users can rename only entries of their own
                 sticky_above = path != folder and status.st_mode & stat.S_ISVTX
                 if fault := _fault_of(path, status, stat.S_ISDIR, 0 if sticky_above else BY_OTHERS):
                     return fault
@@ -100,7 +103,7 @@ def _fault_of(path: Path, status: os.stat_result, is_kind: Callable[[int], bool]
 
 @cache
 def find_folder_to_keep_in() -> Path | None:
-    """The first place that can be written, made if it is not there; None where there is none."""
+    """The first place that can be written, made if it does not exist; None where no place can be written."""
     for place in find_places():
         if place.fault is None:
             with contextlib.suppress(OSError), for_owner_to_write():
@@ -117,7 +120,10 @@ def name_of_folder() -> str | None:
 
 @contextlib.contextmanager
 def for_owner_to_write() -> Iterator[None]:
-    """Files and folders are made readable by all, as code that an administrator keeps must be, writable by one."""
+    """A block in which new files and folders are readable by all users and writable by their owner only.
+
+    All users load the code that an administrator keeps, so they must be able to read it.
+    """
     before = os.umask(0o022)
     try:
         yield
@@ -127,7 +133,10 @@ def for_owner_to_write() -> Iterator[None]:
 
 @cache
 def hash_of_sources() -> str:
-    """Of all sources: compiled code holds what it calls and the constants that it uses, from other files, too."""
+    """SHA-256 of all sources of this package, as hex digits.
+
+    Compiled code depends on all of them: it holds the functions that it calls and the constants of other files.
+    """
     digest = hashlib.sha256()
     for path in sorted(SOURCES.rglob("*.py")):
         digest.update(str(path.relative_to(SOURCES)).encode() + b"\0" + path.read_bytes() + b"\0")
@@ -135,9 +144,9 @@ def hash_of_sources() -> str:
 
 
 def has_whole(what: Whole) -> bool:
-    """Whether all compiled code of ``what`` can be loaded by this process.
+    """True where a note says that this process can load all compiled code of ``what``.
 
-    Where numba finds otherwise, because somebody has removed some of it, it compiles.
+    Where some of that code has been removed since, numba compiles it.
     """
     name = name_of_note(what)
     return any(place.fault is None and (place.folder / name).exists() for place in find_places())
@@ -145,7 +154,10 @@ def has_whole(what: Whole) -> bool:
 
 @cache
 def name_of_note(what: Whole) -> str:
-    """A file that says so, by what compiled code is made for: the sources, Python, numba and the processor."""
+    """Name of the file that notes that all compiled code of ``what`` is kept.
+
+    The name follows from all that the code is made for: the sources, Python, numba, llvmlite and the processor.
+    """
     digest = hashlib.sha256(hash_of_sources().encode())
     for text in (sys.version, _version_of("numba"), _version_of("llvmlite"), *_name_processor()):
         digest.update(text.encode() + b"\0")

@@ -1,4 +1,7 @@
-"""Whether this process compiles, and who learns when it does: it takes long, and users wonder why."""
+"""Choice of a process between compiling and doing without, and listeners that report when it compiles.
+
+Compiling takes so long that users must be told why they wait.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,8 @@ from contextlib import contextmanager
 
 from dsse_core.code_places import Whole, find_folder_to_keep_in, has_whole
 
-# Compiling the estimate takes 25 to 35 s of a processor. Without it a command takes some 80 us more for each bus: from
-# so many buses on it compiles after its answer, or at once, where that is sooner.
+# Compiling the estimate takes 25 to 35 s of a processor. Without it a command takes some 80 us more for each bus. From
+# the first number of buses on a command compiles after its answer; from the second on before it, which is sooner.
 FEWEST_BUSES_AFTERWARDS, FEWEST_BUSES_AT_ONCE = 20_000, 400_000
 Listener = Callable[[bool, str | None], None]
 _listeners: list[Listener] = []
@@ -19,8 +22,10 @@ _done_without: set[Whole] = set()
 
 @contextmanager
 def only_loading() -> Iterator[None]:
-    """Meanwhile this process loads what is kept and compiles nothing that it has a choice about: it answers one
-    question, which takes less than compiling. Commands have it as a decorator. Of FEWEST_BUSES_AT_ONCE it takes more.
+    """A block in which this process loads the compiled code that is kept, and compiles none where it has a choice.
+
+    A command answers one question, which takes less time than compiling; commands use this block as a decorator. With
+    FEWEST_BUSES_AT_ONCE buses the answer takes more time than compiling, so the process compiles at once.
     """
     global _only_loads
     before, _only_loads = _only_loads, True
@@ -31,7 +36,9 @@ def only_loading() -> Iterator[None]:
 
 
 def find_obstacle(what: Whole = "estimate", n_bus: int = 0) -> str | None:
-    """The reason not to use the compiled code of ``what`` for a network of ``n_bus`` buses, as text.
+    """The reason not to use the compiled code of ``what`` for a network of ``n_bus`` buses, as text; None: use it.
+
+    Code that a large network lacks and that can be kept is remembered for ``take_done_without``.
 
     Raises:
         InvalidInputError: NUMBA_CACHE_DIR is set to a place that others can write.
@@ -50,28 +57,31 @@ def find_obstacle(what: Whole = "estimate", n_bus: int = 0) -> str | None:
 
 
 def has_done_without() -> bool:
-    """Whether ``take_done_without`` would find something."""
+    """True where ``take_done_without`` would return some code."""
     return bool(_done_without)
 
 
 def take_done_without() -> set[Whole]:
-    """Code that this process would have used for a large network and that can be kept for the next one; asked once."""
+    """Returns and forgets the code that this process lacked for a large network and that can be kept for later ones."""
     found = set(_done_without)
     _done_without.clear()
     return found
 
 
 def listen(listener: Listener) -> None:
-    """Have ``listener`` called with whether compiling begins, and where its result will be kept; None: nowhere."""
+    """Registers ``listener``, to be called when compiling begins and when it ends.
+
+    Its arguments: True where compiling begins; the folder that will keep the code, None for no folder and at the end.
+    """
     _listeners.append(listener)
 
 
 def forget_listeners() -> None:
-    """Tell nobody any more: in a process just forked, those of its parent."""
+    """Removes all listeners: a process just forked has those of its parent."""
     _listeners.clear()
 
 
 def note(begins: bool, folder: str | None) -> None:
-    """Tell all listeners."""
+    """Tells all listeners that compiling ``begins``, or has ended, and the ``folder`` of its code."""
     for listener in _listeners:
         listener(begins, folder)

@@ -1,5 +1,6 @@
-"""Endpoints of the bus, ``tcp/HOST:PORT`` or ``tls/HOST:PORT``, checked before Zenoh sees them: it tries others again
-and again without a pause.
+"""Endpoints of the bus, ``tcp/HOST:PORT`` or ``tls/HOST:PORT``, checked before Zenoh sees them.
+
+Zenoh tries an endpoint of another form again and again without a pause.
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ _ZONE = re.compile(r"[A-Za-z0-9_.-]{1,15}", re.ASCII)  # of a link-local address
 
 
 def find_endpoint_problem(endpoint: str, *, listens: bool = False) -> str:
-    """The first thing that is wrong with an endpoint, in words; empty if it is one. Only one that ``listens`` may have
-    port 0, for any that is free.
+    """The first problem of an endpoint, as text; empty if it has none.
+
+    Only an endpoint that ``listens`` may have port 0, which stands for any free port.
     """
     called = repr(shortened_inside(endpoint, 80))
     protocol, _, address = endpoint.partition("/")
@@ -39,10 +41,10 @@ def find_endpoint_problem(endpoint: str, *, listens: bool = False) -> str:
 
 
 def check_endpoints(what: str, endpoints: Iterable[str], *, listens: bool = False) -> None:
-    """That all ``endpoints`` can be given to the bus; errors call them ``what``.
+    """Checks that all ``endpoints`` can be given to the bus; errors call them ``what``.
 
     Raises:
-        InvalidInputError: every one that is none.
+        InvalidInputError: listing the first problem of every endpoint that has one.
     """
     if problems := [p for endpoint in endpoints if (p := find_endpoint_problem(endpoint, listens=listens))]:
         raise InvalidInputError(what, problems)

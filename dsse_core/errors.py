@@ -7,10 +7,10 @@ from dsse_core.printable import listed, printable, printable_lines, shortened_in
 
 BELIEVABLE = 5.0  # sigma; one reading in two million is farther off by noise alone
 MOST_SHOWN = 50  # problems of one input that are shown; the rest is counted
-LONGEST_LINE = 1000  # characters; of a longer one the beginning, which says where, and the end, which says what to do
+LONGEST_LINE = 1000  # characters; a longer line keeps its beginning, the place, and its end, the cure
 MOST_NAMED = 100  # buses in one text
 POSITION = re.compile(r"\w\[\d+\]")
-"""Of an item in a list, in a key path."""
+"""The position of an item of a list in a key path."""
 
 
 class DsseError(Exception):
@@ -73,10 +73,10 @@ class NotObservableError(DsseError):
 
 
 class EstimationDivergedError(DsseError):
-    """Gauss-Newton did not end; says why, and what to do.
+    """The Gauss-Newton iteration did not converge; the text names the cause and the cure.
 
-    ``meter``: id of the one whose reading is the cause, empty where no reading is known to be. ``reason``: of
-    ``decision``, "diverged", or "out of reach": a step leads farther than all steps of a start.
+    ``meter``: id of the meter whose reading is the cause, empty where no reading is known to be. ``reason``: that of
+    ``decision``, "diverged", or "out of reach" where a step leads farther than all steps of a start.
     """
 
     def __init__(self, iterations: int, step: float, cause: str, meter: str = "", reason: str = "diverged") -> None:

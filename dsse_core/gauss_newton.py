@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-# Gauss-Newton needs 3 to 6 steps; what takes longer swings around the answer, as current magnitudes make it
-# do that are as uncertain as they are large, and half steps settle it.
+# Gauss-Newton needs 3 to 6 steps. An iteration that takes longer swings around the answer, as it does by current
+# magnitudes with sigmas as large as their values. Half steps settle it.
 FULL_STEPS = 10
-MOST_STEPS = 25  # of one iteration; then it begins anew at the flat start, where
-MOST_STEPS_ANEW = 100  # are taken: half steps may shrink by a rate of 0.8 only, and NO_STEP is then 60 away
+MOST_STEPS = 25  # of one iteration; then it begins again at the flat start
+MOST_STEPS_ANEW = 100  # of the iteration that begins again: half steps may shrink by 0.8 each, 60 of them to NO_STEP
 FLOWS_KNOWN = 1e-4  # p.u. and rad; after a smaller step current magnitudes are used
 LARGEST_STEP = 1e6  # p.u. or rad; beyond it the iteration has left every state of interest
 # A longer step is shortened: a dead voltmeter must not throw all voltages to zero, where nothing converges.
@@ -19,15 +19,16 @@ MAX_DVM = 0.2  # p.u.
 MAX_DVA = 1.0  # rad
 FARTHEST_DVM = MOST_STEPS_ANEW * MAX_DVM  # p.u.: all steps of a start, each as long as allowed, lead no farther
 # The end, see ``next_step``; p.u. and rad but for the rate.
-LAST_STEP = 1e-5  # what the last step may be
-REST = 2e-9  # what may be left after it
-SLOWEST_RATE = 0.1  # a rate says what is to come only where it is small
-# Nor does a smaller one last: what is quadratic ends, and then bad data and current magnitudes set a rate of their own.
-# Without it 3 of 1000 grids with gross errors were left 2e-8 from the minimum.
+LAST_STEP = 1e-5  # the largest last step
+REST = 2e-9  # the largest distance from the minimum after it
+SLOWEST_RATE = 0.1  # only a smaller rate tells the size of the coming step
+# A smaller rate does not last: quadratic convergence ends, and bad data and current magnitudes then set a rate of their
+# own. Without this bound 3 of 1000 grids with gross errors were left 2e-8 from the minimum.
 LEAST_RATE = 0.01
-NO_STEP = 1e-10  # after a smaller step nothing is to come, whatever the one before was
-# Of the chi-square limit: J so near to it is found more exactly first. On 500 random grids the J that is decided by was
-# at most 1e-5 of the limit from that at the end; of good readings of 100,000 buses J is within 0.8 % of the limit.
+NO_STEP = 1e-10  # after a smaller step no other follows, whatever the step before was
+# Share of the chi-square limit: a J so near to the limit is found more exactly before the verdict. On 500 random grids
+# J at the verdict is at most 1e-5 of the limit from J at the end. Good readings of 100,000 buses have a J within 0.8 %
+# of the limit.
 NEAR_LIMIT = 1e-3
 SURE_STEP = 1e-9  # p.u. and rad: after a smaller step J is as exact as it gets
 
@@ -44,7 +45,7 @@ def correct_step(share: float, stepped: bool, flows_known: bool, dva: float, dvm
     known, and current magnitudes are in use from now on.
 
     Args:
-        share: what was taken of the Gauss-Newton step.
+        share: the share of the Gauss-Newton step that was taken.
         stepped: the step is not corrected yet, nor is it the last one.
         flows_known: current magnitudes are in use, or there are none.
         dva, dvm: largest change of an angle, rad, and of a magnitude, p.u., in the whole Gauss-Newton step.
@@ -62,7 +63,7 @@ def correct_step(share: float, stepped: bool, flows_known: bool, dva: float, dvm
 
 
 def is_out_of_reach(dvm: float) -> bool:
-    """Whether a step changes a magnitude, p.u., by more than all shortened steps of a start together would."""
+    """True where a step changes a magnitude by more, ``dvm`` p.u., than all shortened steps of a start, or by nan."""
     return not dvm <= FARTHEST_DVM
 
 
@@ -92,7 +93,7 @@ def next_step(
 
     Args:
         steps: number of steps taken since the start.
-        share: what was taken of the last Gauss-Newton step.
+        share: the share of the last Gauss-Newton step that was taken.
         stepped: the last step is not corrected.
         before, largest: size of the last but one and of the last step, by their largest entry. ``before`` is 0 where
             the two cannot be compared: other shares, or only one with current magnitudes.

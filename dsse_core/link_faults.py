@@ -1,11 +1,11 @@
-"""What goes wrong on a directed link between two areas, as numbers: the words that scenarios and agents share."""
+"""Faults of a directed link between two areas, as numbers: the words that scenarios and agents share."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 Window = tuple[float, float]
-"""From and until, s since the start of the run: all areas on the bus."""
+"""Beginning and end, s since the start of the run; a run starts when all its areas are on the bus."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,13 +21,13 @@ class LinkFaults:
         corrupt: probability that the bytes of a message are damaged, flipped or cut short.
         load_p, load_q: added to the load in a load message. load_scale: multiplies it. load_frozen: every load message
             repeats the first.
-        lie_p, lie_q, lie_vm, lie_va, lie_scale: all that messages state of y = (p, q, vm, va) at the boundary is stated
-            of ``lie_scale`` y plus these.
-        lie_objective: multiplies J in totals. lie_areas: how many areas totals count, none of them silent or stale, and
-            the side is complete; 0 leaves that as it is. lie_worst: the meter that totals name as the worst; empty for
-            none. Verdicts follow from the totals that are sent. lie_verdict: what a verdict states instead.
-        until_s: all of these end then, s since the start of the run; None is never.
-        cuts: windows in which nothing passes.
+        lie_p, lie_q, lie_vm, lie_va, lie_scale: messages state ``lie_scale`` y plus these in place of y = (p, q, vm,
+            va) at the boundary.
+        lie_objective: multiplies J in totals. lie_areas: number of areas that totals count, none of them silent or
+            stale, and the side complete; 0 changes nothing. lie_worst: the meter that totals name as the worst; empty
+            changes nothing. Verdicts follow from the totals that are sent. lie_verdict: stated in place of a verdict.
+        until_s: the time at which these faults end, s since the start of the run; None is never.
+        cuts: windows in which no message passes.
     """
 
     loss: float = 0.0
@@ -56,25 +56,25 @@ class LinkFaults:
 
     @property
     def has_windows(self) -> bool:
-        """Whether they depend on how long the run has lasted."""
+        """True where the faults depend on how long the run has lasted."""
         return self.until_s is not None or bool(self.cuts)
 
     @property
     def lie_offset(self) -> tuple[float, float, float, float]:
-        """What is added to y."""
+        """The offset added to ``lie_scale`` y = (p, q, vm, va), p.u. and rad."""
         return self.lie_p, self.lie_q, self.lie_vm, self.lie_va
 
     @property
     def lies_of_boundary(self) -> bool:
-        """Whether messages state another y than the sender knows."""
+        """True where messages state another y than the sender has."""
         return any(self.lie_offset) or self.lie_scale != 1.0
 
     @property
     def lies_of_totals(self) -> bool:
-        """Whether messages state other totals than the sender knows."""
+        """True where messages state other totals than the sender has."""
         return self.lie_objective != 1.0 or bool(self.lie_areas or self.lie_worst)
 
     @property
     def changes_loads(self) -> bool:
-        """Whether a load message may be changed."""
+        """True where load messages may be changed."""
         return self.load_frozen or (self.load_p, self.load_q, self.load_scale) != (0.0, 0.0, 1.0)

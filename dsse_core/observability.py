@@ -1,9 +1,9 @@
-"""Observability: which state variables do the meters determine, and which added meter makes a bus observable?
+"""Observability: the state variables that the meters determine, and the added meters that make a bus observable.
 
-Decided by numerical rank, never by counting: null vectors of the Jacobian at the no-load state (weights,
-loading, charging and shunts play no part) are found by block inverse iteration on one sparse
-factorisation. Current magnitudes do not count: their derivative does not exist without load. The same
-factorisation shows which meters cannot be spared.
+Numerical rank decides, never counting: null vectors of the Jacobian at the no-load state (weights, loading, charging
+and shunts play no part) are found by block inverse iteration on one sparse factorisation. Current magnitudes do not
+count: their derivative does not exist without load. A fit to random readings on another factorisation shows which
+meters cannot be spared.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern, reci
 # has 1e-7, an impedance of 1e-5 p.u. among ordinary ones takes another 1e-3, round-off is 1e-15.
 NULL_SINGULAR_VALUE = 1e-11
 TABLEAU_SCALE = 1e-8  # singular values are distinguished down to sqrt(TABLEAU_SCALE * 1e-16)
-# Keeps the factorisation from being exactly singular, the next one where rounding swallows the last; the largest
-# still distinguishes singular values of sqrt(TABLEAU_SCALE * 1e-14) = 1e-11.
+# A shift keeps the factorisation from being exactly singular; where rounding swallows it, the next one is tried. The
+# largest still distinguishes singular values of sqrt(TABLEAU_SCALE * 1e-14) = 1e-11.
 SHIFTS = (1e-20, 1e-18, 1e-16, 1e-14)
 WIDTH = 4  # null vectors sought: one meter cures at most 2, and 4 random ones touch every undetermined variable
 TOUCHED = 1e-6  # entry of a null vector from which on a variable counts as undetermined
@@ -71,7 +71,7 @@ def check_observable(network: Network, meters: Sequence[Meter], *, reference: in
 
 
 def _all_fit(network: Network, meters: Sequence[Meter]) -> bool:
-    """Whether columns of meters are known to have no problem, without a look at each."""
+    """True where ``meters`` are columns that have no problem, found without visiting each meter."""
     if not (isinstance(meters, Records) and each_fits(network, meters)):
         return False
     return len(np.unique(number_meters(network, meters))) == len(meters)
@@ -96,11 +96,11 @@ def find_indispensable(network: Network, meters: Sequence[Meter], reference: int
 
 
 def find_indispensable_rows(network: Network, meters: Sequence[Meter], reference: int) -> np.ndarray:
-    """The meters, virtual ones included, without any one of which ``meters`` no longer determine the state, (n_meas,).
+    """True for each meter, virtual ones included, without which ``meters`` do not determine the state, (n_meas,).
 
-    Decided at no load and without current magnitudes, as ``check_observable`` does: losses and currents may
-    check such a meter a little, but could not replace it. Fitted to random readings, an indispensable meter has
-    no residual. ``meters`` must determine the state.
+    The network has no load and current magnitudes do not count, as in ``check_observable``: losses and currents may
+    check such a meter a little, but could not replace it. In a fit to random readings an indispensable meter has no
+    residual. ``meters`` must determine the state.
     """
     n = len(network.buses)
     free = np.delete(np.arange(2 * n), network.row[reference])
@@ -156,7 +156,7 @@ def _factor_shifted(A: sp.csr_array, pattern: AugmentedPattern) -> spla.SuperLU:
 
 
 def _no_load_model(network: Network, meters: Sequence[Meter]) -> MeasurementModel:
-    """Without charging and shunts, and without current magnitudes."""
+    """The measurement model of ``meters`` without current magnitudes, in the network without charging and shunts."""
     meters = take_items(meters, np.flatnonzero(number_kinds(meters) != _CURRENT))
     return build_measurement_model(network, build_admittance(network, with_shunts=False), meters)
 

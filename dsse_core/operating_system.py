@@ -169,7 +169,7 @@ def go_on(pid: int) -> None:
 
 
 def fork() -> int:
-    """As ``os.fork``; only where ``HAS_FORK``."""
+    """Forks this process as ``os.fork`` does: the child's process id, 0 in the child; only where ``HAS_FORK``."""
     return os.fork()
 
 

@@ -26,9 +26,8 @@ NOT_SEEN = frozenset(  # letters and marks that are shown as nothing or as a bla
 def printable(text: object) -> str:
     r"""``text`` on one line, with an escape such as ``\x1b`` for every character that is not seen as itself.
 
-    Those are what steers a terminal (escape, carriage return, C1 controls), what turns the order of letters or hides
-    them, letters that are not seen, line ends, blanks other than the plain one, and bytes of a file name that are no
-    text.
+    Such characters steer a terminal (escape, carriage return, C1 controls), turn the order of letters or hide them, are
+    letters that are not seen, line ends, blanks other than the plain one, or bytes of a file name that are no text.
     """
     shown = str(text)
     if _is_printable(shown):
@@ -39,7 +38,7 @@ def printable(text: object) -> str:
 
 
 def all_printable(texts: Sequence[str]) -> list[str]:
-    """``printable`` of each of ``texts``: of a million at once, as hardly ever one needs it."""
+    """``printable`` of each of ``texts``; all are tested together first, as hardly any text has an escape."""
     return list(texts) if _is_printable("".join(texts)) else list(map(printable, texts))
 
 

@@ -1,4 +1,4 @@
-"""Which readings an area takes, from whom and how old: the words that scenarios and agents share."""
+"""Rules for the readings that an area takes, their gateways and ages: the words that scenarios and agents share."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from typing import Literal
 from dsse_core.grid.measurement import MeasurementKind
 
 Ticks = Literal["gateway", "clock"]
-"""Who numbers scans: the gateway that leads, or the clock of each area, by UTC."""
+"""The source of scan numbers: the gateway that leads, or the clock of each area, by UTC."""
 MetersOf = tuple[str, ...] | Literal["all"]
 """Ids of the meters for which a gateway may speak."""
 LEADER = "plant"
-ANYBODY = "*"  # in place of a gateway's name, which none has
+ANYBODY = "*"  # stands for every gateway; no gateway has this name
 OLDEST_INTERVALS = 5  # after which a reading is left out, unless the rule of its kind says otherwise
 OVERDUE_INTERVALS = 2  # after which it is overdue
-LEAST_LEAD_S = 1.0  # by which a reading may be ahead of the clock of who receives it, or
+LEAST_LEAD_S = 1.0  # by which a reading may be ahead of its receiver's clock, or
 LEAD_SHARE = 1 / 4  # of the time between two scans, if that is more
 
 
 @dataclass(frozen=True, slots=True)
 class KindRule:
-    """What holds for the readings of one kind of meter, s, p.u. and rad.
+    """The rule for the readings of one kind of meter, s, p.u. and rad.
 
     Args:
-        period_s: interval of these meters; None: they read at every scan, and do not age.
-        aging_s: age at which the variance has doubled; None: the period.
+        period_s: interval of these meters; None: they read at every scan, and their readings do not age.
+        aging_s: age at which the variance has doubled, only with a period; None: the period.
         oldest_s: older readings are left out; None: ``OLDEST_INTERVALS`` periods or scans, whichever is longer.
         lowest, highest: readings outside are out of range.
     """
@@ -39,7 +39,7 @@ class KindRule:
     highest: float | None = None
 
     def interval_s(self, scan_s: float | None) -> float:
-        """Between two readings that are used, scans being ``scan_s`` apart; 0 where neither is known."""
+        """Time between two readings that are used, s: the period, or ``scan_s`` if longer; 0 where neither is known."""
         return max(self.period_s or 0.0, scan_s or 0.0)
 
     def leaves_out_s(self, scan_s: float | None) -> float:
@@ -51,7 +51,7 @@ class KindRule:
     def overdue_s(self, scan_s: float | None) -> float:
         """The age beyond which a reading is overdue; infinity where no interval is known.
 
-        One may have been lost, and the scan that uses the last one lasts until the next.
+        One reading may be lost, and the scan that uses the last reading lasts until the next scan.
         """
         return OVERDUE_INTERVALS * self.interval_s(scan_s) + (scan_s or 0.0) or math.inf
 
@@ -61,7 +61,7 @@ class KindRule:
         return sigma * math.sqrt(1.0 + age_s / aging_s) if aging_s and age_s > 0 else sigma
 
     def holds(self, value: float) -> bool:
-        """Whether ``value`` lies in the range."""
+        """True where ``value`` lies in the range or at its ends."""
         return (self.lowest is None or value >= self.lowest) and (self.highest is None or value <= self.highest)
 
 
@@ -69,13 +69,13 @@ NO_RULE = KindRule()
 
 
 def allowed_lead_s(scan_s: float | None) -> float:
-    """By how much the time of a reading may be ahead of the clock of who receives it, s; ``scan_s``: between scans."""
+    """Longest time by which a reading may be ahead of its receiver's clock, s; ``scan_s``: time between scans, s."""
     return max(LEAST_LEAD_S, LEAD_SHARE * (scan_s or 0.0))
 
 
 @dataclass(frozen=True, slots=True)
 class ReadingRules:
-    """Who numbers the scans of an area, who speaks for its meters, and what holds for their readings.
+    """Rules for the readings of an area: the source of scan numbers, the gateways of its meters, the rules by kind.
 
     Args:
         ticks: "gateway": gateway ``leader`` numbers scans. "clock": a scan begins at each multiple of ``scan_s``, UTC.
@@ -89,16 +89,16 @@ class ReadingRules:
     kinds: Mapping[MeasurementKind, KindRule] = field(default_factory=dict)
 
     def rule_of(self, kind: MeasurementKind) -> KindRule:
-        """What holds for readings of ``kind``."""
+        """The rule for readings of ``kind``."""
         return self.kinds.get(kind, NO_RULE)
 
     def meters_of(self, gateway: str) -> MetersOf:
-        """The meters for which ``gateway`` may speak; none if nobody knows it."""
+        """The meters for which ``gateway`` may speak; of a gateway without entry those of ``ANYBODY``, else none."""
         return self.gateways.get(gateway, self.gateways.get(ANYBODY, ()))
 
     @property
     def follow_clocks(self) -> bool:
-        """Whether anything depends on what time it is: ticks, or ages."""
+        """True where the rules depend on the time of day: scans begin by the clock, or readings have a period."""
         return self.ticks == "clock" or any(rule.period_s for rule in self.kinds.values())
 
 

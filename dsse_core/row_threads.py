@@ -10,7 +10,7 @@ from queue import Empty, SimpleQueue
 from dsse_core import operating_system
 from dsse_core.errors import InvalidInputError
 
-CHUNKS = 8  # for each thread: the last one to end must not keep the others waiting for long
+CHUNKS = 8  # for each thread: the last thread to end must not keep the others waiting for long
 MOST_ROWS = 1024  # of a chunk
 
 
@@ -18,7 +18,7 @@ def find_threads(threads: int | None) -> int:
     """``threads``, or as many as there are processors that this process may use.
 
     Raises:
-        InvalidInputError: it is no positive integer.
+        InvalidInputError: ``threads`` is no positive integer.
     """
     if threads is not None and not (isinstance(threads, Integral) and threads >= 1):
         raise InvalidInputError(
@@ -30,10 +30,11 @@ def find_threads(threads: int | None) -> int:
 
 
 def share_out(n_row: int, threads: int, begin: Callable[[], Callable[[int, int], None]], *, together: int = 1) -> None:
-    """Have rows 0 to ``n_row`` - 1 done by ``threads`` threads, this one if that is one.
+    """Has ``threads`` threads do rows 0 to ``n_row`` - 1; the calling thread does them if ``threads`` is 1.
 
-    ``begin`` is called once in each thread and returns what does the rows from the first, a multiple of ``together``,
-    up to before the second. An exception in one thread ends the others after the rows at hand.
+    ``begin`` is called once in each thread. It returns the function that does the rows from its first argument, a
+    multiple of ``together``, up to before its second. An exception in one thread ends the others after their rows at
+    hand, and is raised here.
     """
     size = max(1, min(MOST_ROWS, -(-n_row // (CHUNKS * threads))))
     size += -size % together

@@ -12,8 +12,8 @@ from datetime import UTC, datetime
 
 from dsse_core.reading_rules import LEADER
 
-DIGITS = 16  # of a digest, and
-SHOWN = 8  # in sentences
+DIGITS = 16  # of a digest
+SHOWN = 8  # of its digits, in sentences
 END_OF_TIME = 253_402_300_800.0  # s since 1970, the year 10000: later times have no date
 
 
@@ -38,7 +38,7 @@ class SplitIdentity:
 
     @property
     def is_sound(self) -> bool:
-        """Whether the file is as its split has written it."""
+        """True where the split is known and the file is as it has written it."""
         return bool(self.digest) and not self.edited
 
     def is_newer_than(self, other: SplitIdentity) -> bool:
@@ -47,7 +47,7 @@ class SplitIdentity:
 
     @property
     def age_order(self) -> tuple[float, bool, str, str]:
-        """The key by which files are sorted from the oldest to the newest; an edited one is older than its split's."""
+        """Sort key of files from the oldest to the newest; an edited file counts as older than its split's own."""
         return self.time, not self.edited, self.digest, self.edited
 
 
@@ -74,7 +74,7 @@ def add_uses(uses: Iterable[SplitUse], most: int) -> tuple[SplitUse, ...]:
 
 
 HeldSplits = tuple[tuple[SplitIdentity, int], ...]
-"""Splits whose files lie beside those in use, each with how many areas hold theirs."""
+"""Splits whose files lie beside those in use, each with the number of areas that hold theirs."""
 
 
 def add_held(parts: Iterable[HeldSplits], most: int) -> HeldSplits:
@@ -89,7 +89,7 @@ def add_held(parts: Iterable[HeldSplits], most: int) -> HeldSplits:
 
 
 def are_of_one(uses: Iterable[SplitUse]) -> bool:
-    """Whether all areas work on one split, with files as it has written them."""
+    """True where all areas work on one split, with files as it has written them."""
     splits = {use.split for use in uses}
     return len(splits) == 1 and all(split.is_sound for split in splits)
 
@@ -100,7 +100,7 @@ def find_newest(uses: Iterable[SplitUse]) -> SplitIdentity:
 
 
 def describe_other(name: str, split: SplitIdentity, newest: SplitIdentity) -> str:
-    """In words, what is wrong with the file of ``name`` and what to do; ``newest``: the newest split on the run."""
+    """The problem of the file of ``name`` and its cure, as text; ``newest``: the newest split on the run."""
     if not split.digest:
         return f"the file of {name} states no split, an earlier version wrote it: write it with dsse split"
     if split.edited and split.digest == newest.digest:

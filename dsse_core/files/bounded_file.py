@@ -1,4 +1,4 @@
-"""A file that a user gives, read within limits. The one place here that opens files: above it, two strangers do."""
+"""Files that a user gives, read within limits. All files of users that this package reads are opened here."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ LARGEST_PEM = 2**20
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """``path``, opened to be read; a pipe or a device is refused at once, whoever writes to it.
+    """``path``, opened to be read; a pipe or a device is refused at once, without waiting for its other end.
 
     Raises:
-        OSError: it cannot be read, or is a folder, a pipe or a device; ``strerror`` says what was found and what to do.
-            Of its subclass for the cause, as ever: ``FileNotFoundError`` and so on.
+        OSError: ``path`` cannot be read, or is a folder, a pipe or a device; ``strerror`` states the finding and the
+            cure. Errors of the system keep their subclass, such as ``FileNotFoundError``.
     """
     try:
-        mode = path.stat().st_mode  # before it is opened: that alone moves some devices
+        mode = path.stat().st_mode  # before it is opened: opening alone moves some devices
         if stat.S_ISREG(mode):
             file = open(path, "rb", opener=_open_without_waiting)  # noqa: SIM115
             mode = os.fstat(file.fileno()).st_mode
@@ -48,7 +48,7 @@ def read_bounded(path: Path, largest: int) -> bytes:
     """The content of ``path``, at most ``largest`` bytes.
 
     Raises:
-        OSError: as ``open_regular``, or it is too large.
+        OSError: as ``open_regular``, or the file is too large.
     """
     with open_regular(path) as file:
         try:
@@ -69,8 +69,8 @@ def read_text(
     errors: str = "strict",
     what: str | None = None,
 ) -> str:
-    """The text in ``path``, which errors call ``what`` if that is given,
-    at most ``largest`` bytes of it, without a byte order mark.
+    """The text in ``path``, at most ``largest`` bytes, without a byte order mark; errors call the file ``what``, by
+    default its path.
 
     Raises:
         InvalidInputError: the file cannot be read, is no regular file, is too large, or is no such text.

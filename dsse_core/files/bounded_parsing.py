@@ -1,4 +1,4 @@
-"""JSON and TOML texts as trees, within limits of depth and work, each key once. Above it, two strangers read files."""
+"""JSON and TOML texts as trees, within limits of depth and work, each key once."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def parse_json(text: str) -> Any:
     """The tree of a JSON text.
 
     Raises:
-        ValueError: it is no JSON, has a key twice in one object, nests too deeply, has too many values, or an integer
-            that Python does not hold.
+        ValueError: the text is no JSON, has a key twice in one object, nests too deeply, has too many values, half of a
+            character, or an integer that Python does not hold.
     """
     values = sum(map(text.count, ",[{"))
     if values > MOST_VALUES:
@@ -59,8 +59,8 @@ def parse_toml(text: str) -> dict[str, Any]:
     """The tables of a TOML text.
 
     Raises:
-        ValueError: it is no TOML (with line and column), nests too deeply, has a key of too many parts or too many
-            of them, or an integer or a date that Python does not hold.
+        ValueError: the text is no TOML (with line and column), nests too deeply, has a key of too many parts or too
+            many of them, or an integer or a date that Python does not hold.
     """
     _check_keys(text)
     try:
@@ -72,7 +72,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _integers_in_words() -> Iterator[None]:
-    """Python's error for an integer that it does not turn into a number, without the advice to let it."""
+    """A block in which Python's error for an integer of too many digits lacks the advice to raise that limit."""
     try:
         yield
     except ValueError as error:
@@ -82,7 +82,11 @@ def _integers_in_words() -> Iterator[None]:
 
 
 def _take_each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of JSON, of whose equal keys other readers take the first, the last or all."""
+    """The table of a JSON object; of equal keys other readers take the first, the last or all.
+
+    Raises:
+        ValueError: a key is given twice.
+    """
     table = dict(pairs)
     if len(table) < len(pairs):
         twice = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
@@ -91,9 +95,13 @@ def _take_each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check_keys(text: str) -> None:
-    """Count the parts of keys before Python's reader, which needs the square of a key's depth; reject long integers.
+    """Counts the parts of keys before Python's reader, whose work grows with the square of a key's depth; refuses long
+    integers.
 
-    Up to the first mistake, where that reader stops, this sees the same strings and comments as it does.
+    Up to the first mistake, where that reader stops, this function and the reader see the same strings and comments.
+
+    Raises:
+        ValueError: a key has too many parts, there are too many of them, or an integer is too long.
     """
     bare = STRINGS_AND_COMMENTS.sub(_blank_out, text)
     if found := LONG_INTEGER.search(bare):
@@ -111,5 +119,5 @@ def _check_keys(text: str) -> None:
 
 
 def _blank_out(found: re.Match[str]) -> str:
-    """A string as one letter, which a part of a key may be; a comment as nothing; with all their ends of lines."""
+    """A string as one letter, which may be a part of a key; a comment as nothing; both with all their line ends."""
     return ("" if found[0].startswith("#") else "_") + "\n" * found[0].count("\n")

@@ -1,7 +1,7 @@
 """Files and folders under way, called drafts: a file stands under its name when it is whole, or not at all.
 
-A draft is locked as long as the process that writes it lives, and the system opens the lock however that process ends:
-by this, what a killed process has left is distinguished from what is being written.
+A draft is locked as long as the process that writes it lives, and the system releases the lock however that process
+ends. The lock distinguishes a draft under way from one that a killed process has left.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def draft_folder(parent: Path, prefix: str = DRAFT) -> Iterator[Path]:
-    """A new folder in ``parent``, for nobody else's eyes, that is removed at the end of the block."""
+    """A new folder in ``parent``, readable by its owner only, that is removed at the end of the block."""
     with _locked(parent, prefix, "", lambda path: path.mkdir(PRIVATE_FOLDER)) as folder:
         yield folder
 
@@ -50,10 +50,10 @@ def draft_folder(parent: Path, prefix: str = DRAFT) -> Iterator[Path]:
 def remove_leftovers(
     parent: Path, prefix: str = re.escape(DRAFT), is_used: Callable[[Path], bool] = lambda _: False
 ) -> None:
-    """Remove the drafts in ``parent`` that processes of this user have left which are dead.
+    """Removes the drafts in ``parent`` that ended processes of this user have left.
 
-    ``prefix``: of their names, a pattern. ``is_used``: whether one is still needed. On a system of files without locks
-    nothing is removed.
+    ``prefix``: pattern of the beginning of their names. ``is_used``: True for a draft that is still needed. On a file
+    system without locks nothing is removed.
     """
     name = re.compile(rf"{prefix}{RANDOM}(\.\w+)?")
     with contextlib.suppress(OSError):
@@ -78,11 +78,11 @@ def _make_locked(parent: Path, prefix: str, suffix: str, make: Callable[[Path], 
         path = parent / f"{prefix}{secrets.token_hex(8)}{suffix}"
         make(path)
         lock = os.open(path, os.O_RDONLY)
-        with contextlib.suppress(OSError):  # a system of files without locks
+        with contextlib.suppress(OSError):  # a file system without locks
             operating_system.lock(lock)
         if path.exists():
             return path, lock
-        os.close(lock)  # before it was locked, another process took it for a leftover
+        os.close(lock)  # another process took the draft for a leftover before it was locked
 
 
 def _make_file(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The kinds of files with tables: what each is called, who takes it, and the keys that distinguish it."""
+"""The kinds of files with tables: the name of each, its use, and the keys that distinguish it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from pathlib import Path
 class FileKind:
     """A kind of file.
 
-    ``reported_by``: keys at the top that no file of another kind has all of. ``use``: who takes such a file, after
-    "which"; ``{name}`` in it stands for the name of the file. ``written_by``: the command that writes it, if any does.
+    ``reported_by``: keys at the top; no file of another kind has all of them. ``use``: the use of such a file, as the
+    words after "which"; ``{name}`` in it stands for the name of the file. ``written_by``: the command that writes it,
+    empty where none does.
     """
 
     article: str
@@ -22,7 +23,7 @@ class FileKind:
     written_by: str = ""
 
     def called(self, path: Path) -> str:
-        """What errors call the file at ``path``."""
+        """The name of the file at ``path`` in errors."""
         return f"{self.name} {path}" + (f", which `{self.written_by}` writes" if self.written_by else "")
 
 
@@ -48,5 +49,5 @@ KINDS = (SCENARIO_FILE, NETWORK_FILE, AREA_FILE, ACCESS_FILE, GATEWAY_MAP, OPERA
 
 
 def kind_reported_by(keys: Collection[str]) -> FileKind | None:
-    """The kind of file that has all of ``keys``, if they show it."""
+    """The first kind of file all of whose ``reported_by`` are among ``keys``; None where there is no such kind."""
     return next((kind for kind in KINDS if kind.reported_by <= set(keys)), None)

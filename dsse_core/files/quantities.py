@@ -1,4 +1,4 @@
-"""What a value in a file may be, the same in every kind of file."""
+"""Types of the values in files, with their limits, the same in every kind of file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ from dsse_core.limits import (
 
 
 def _require_integer(value: object) -> object:
-    """Of a version, which Python takes for equal to 1.0 and true."""
+    """``value``, the number of a version; Python takes 1 for equal to 1.0 and true.
+
+    Raises:
+        ValueError: ``value`` is no integer.
+    """
     if type(value) is not int:
         raise ValueError(f"must be the integer 1, found {value!r}")
     return value
@@ -41,7 +45,7 @@ Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
 Version = Annotated[Literal[1], BeforeValidator(_require_integer)]
 Penalty = Annotated[float, Field(ge=1e-6, le=1e6)]
 Name = Annotated[str, StringConstraints(pattern=r"^[_a-z0-9-]+$", max_length=LONGEST_NAME)]
-"""Of an area or a run: a part of keys on the bus, and of names in certificates."""
+"""Name of an area or a run: a part of keys on the bus, and of names in certificates."""
 BRANCH_ID = re.compile(rf"[_a-z0-9-]{{1,{LONGEST_NAME}}}")
-"""Of a branch: the id of a meter holds it, and has its limit on the wire."""
+"""Id of a branch: the id of a meter holds it, and has a limit on the wire."""
 BranchId = Annotated[str, StringConstraints(pattern=f"^{BRANCH_ID.pattern}$")]

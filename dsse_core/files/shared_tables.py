@@ -17,7 +17,7 @@ class AdmmTable(Table):
 
 
 class GenerationTable(Table):
-    """``[load_messages]``: what load messages state of generators."""
+    """``[load_messages]``: the generation that load messages state, metered or by the schedule."""
 
     generation: Literal["telemetered", "scheduled"] = "telemetered"
 
@@ -26,7 +26,7 @@ def require_a_band(table: AnyTable, lowest: str, highest: str) -> AnyTable:
     """``table``, whose key ``lowest`` is below its key ``highest``.
 
     Raises:
-        ValueError: it is not.
+        ValueError: ``lowest`` is not below ``highest``.
     """
     low, high = getattr(table, lowest), getattr(table, highest)
     if low >= high:

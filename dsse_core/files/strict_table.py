@@ -27,7 +27,7 @@ class Table(BaseModel):
 
 
 class ColumnsTable(Table):
-    """A list of values, all of one length, for each key of what is many; a key that is not given has no list."""
+    """A table of columns: a list of values for each key, all of one length; a key that is not given has no list."""
 
     @model_validator(mode="after")
     def _are_of_one_length(self) -> Self:
@@ -40,13 +40,13 @@ class ColumnsTable(Table):
 
 
 class FileTable(Table):
-    """All of a file."""
+    """The table of a whole file."""
 
     kind: ClassVar[FileKind]
 
     @classmethod
     def called(cls, path: Path) -> str:
-        """What errors call the file at ``path``."""
+        """The name of the file at ``path`` in errors."""
         return cls.kind.called(path)
 
 
@@ -55,7 +55,7 @@ AnyTable = TypeVar("AnyTable", bound=Table)
 
 
 class OtherKindError(InvalidInputError):
-    """A file that by its keys is of another kind, ``found``, than the one asked for."""
+    """A file whose keys show another kind of file, ``found``, than the caller wants."""
 
     def __init__(self, path: Path, found: FileKind, wanted: FileKind) -> None:
         self.found = found
@@ -65,12 +65,12 @@ class OtherKindError(InvalidInputError):
 
 
 def load_strict(path: Path, model: type[Model], changes: Mapping[str, object] | None = None) -> Model:
-    """Read a file into ``model``; ``changes``: key path -> the value it has instead of the file's.
+    """Reads a file into ``model``; ``changes``: key path -> the value that replaces the file's.
 
     Raises:
         InvalidInputError: the file cannot be read, is not TOML (with line and column), or does not fit the
-            model: every problem with its key path (items of lists count from 1) and, for unknown keys, what is allowed.
-        OtherKindError: it does not fit and has the keys of another kind of file.
+            model: every problem with its key path (items of lists count from 1) and, for unknown keys, those allowed.
+        OtherKindError: the file does not fit and has the keys of another kind of file.
     """
     what, content = model.called(path), _parse(path, model)
     if problems := [problem for key, value in (changes or {}).items() if (problem := _change(content, key, value))]:
@@ -85,8 +85,8 @@ def load_strict(path: Path, model: type[Model], changes: Mapping[str, object] | 
 
 @dataclass(frozen=True)
 class Fitted(Generic[AnyTable]):
-    """What was read of a table. ``wrong``: its keys that do not fit; in ``table`` they have their defaults, or are
-    missing. ``problems``: of each of them.
+    """The part of a table that fits. ``wrong``: the keys that do not fit; in ``table`` they have their defaults, or are
+    missing. ``problems``: all problems of the table, as text.
     """
 
     table: AnyTable
@@ -95,11 +95,11 @@ class Fitted(Generic[AnyTable]):
 
 
 def load_partly(path: Path, model: type[Model]) -> Fitted[Model]:
-    """Read a file as far as it fits ``model``, so that all else that is wrong with it can be reported at once.
+    """Reads a file as far as it fits ``model``, so that all further problems of the file can be reported together.
 
     Raises:
         InvalidInputError: the file cannot be read, or is not TOML (with line and column).
-        OtherKindError: it does not fit and has the keys of another kind of file.
+        OtherKindError: the file does not fit and has the keys of another kind of file.
     """
     content = _parse(path, model)
     fitted = fit_partly(model, content)
@@ -128,14 +128,18 @@ def _parse(path: Path, model: type[FileTable]) -> Any:
 
 
 def _check_kind(path: Path, content: Any, model: type[FileTable]) -> None:
-    """That ``content``, which does not fit ``model``, is not of another kind by its keys."""
+    """Checks that the keys of ``content``, which does not fit ``model``, do not show another kind of file.
+
+    Raises:
+        OtherKindError: they do.
+    """
     found = kind_reported_by(content) if isinstance(content, dict) else None
     if found is not None and found != model.kind:
         raise OtherKindError(path, found, model.kind)
 
 
 def _change(content: Any, key: str, value: object) -> str | None:
-    """Set ``key``, a path such as ``faults.link[1].loss``, in ``content``; what is wrong with the path, if it is."""
+    """Sets ``key``, a path such as ``faults.link[1].loss``, in ``content``; returns the problem of the path, if any."""
     if not re.fullmatch(r"[\w-]+(\[\d{1,9}\])*(\.[\w-]+(\[\d{1,9}\])*)*", key, re.ASCII):
         return f"{key!r} is no key; one looks like faults.loss or faults.link[1].loss"
     steps = [int(word) - 1 if bracket else word for bracket, word in re.findall(r"(\[?)([\w-]+)", key)]

@@ -1,4 +1,4 @@
-"""The errors of strict tables in words: the key's path, what is wrong, what was found, what is allowed."""
+"""The errors of strict tables as text: the key's path, the problem, the value found, the values allowed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pydantic_core import ErrorDetails
 from dsse_core.files.wording import Suggestions
 
 Meant = dict[tuple[str, ...], Suggestions]
-"""Keys that a table may have -> which of them the unknown ones of a file may have been, within one bound of work."""
+"""Keys that a table may have -> the suggestions for a file's unknown keys there, within one bound of work."""
 
 
 def describe_errors(model: type[BaseModel], error: ValidationError) -> list[str]:
@@ -51,7 +51,7 @@ def _show(value: object) -> str:
 
 
 def _is_tag(step: int | str) -> bool:
-    """Whether ``step`` is no key but the tag of a union's member, which tags in brackets set apart from keys."""
+    """True where ``step`` is no key but the tag of a union's member; brackets set tags apart from keys."""
     return isinstance(step, str) and re.fullmatch(r"\[[a-z]+\]", step) is not None
 
 

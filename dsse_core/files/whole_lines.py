@@ -19,7 +19,7 @@ class WholeLines:
         self.file = FileIO(path, "a+")
 
     def append(self, line: str) -> None:
-        """Write ``line``, whose end is stated, at once."""
+        """Writes ``line``, which includes its line end, at once."""
         left = line.encode()
         before = self.file.seek(0, 2)
         try:
@@ -30,7 +30,7 @@ class WholeLines:
             raise OSError(error.errno, error.strerror, str(self.path)) from None
 
     def read(self) -> bytes:
-        """All of it."""
+        """The whole content of the file."""
         self.file.seek(0)
         return self.file.readall()
 

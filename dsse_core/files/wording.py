@@ -1,4 +1,4 @@
-"""Words of error messages: what a misspelt name may have been."""
+"""Words of error messages: the known name that a misspelt one may stand for."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ LONGEST_WORD = 200
 
 @dataclass
 class Suggestions:
-    """Words close to others, until so many were compared that a list of wrong words would take long.
+    """Suggestions of the allowed words that are close to wrong ones, within a bound of work for long lists of them.
 
-    ``left``: how many more comparisons there may be, each some ten microseconds.
+    ``left``: number of comparisons still to spend, each some ten microseconds.
     """
 
     allowed: Collection[str]
     left: int = MOST_COMPARISONS
 
     def find(self, word: str) -> str:
-        """``"; did you mean 'x'?"`` when one of those allowed is close to ``word``, else nothing."""
+        """``"; did you mean 'x'?"`` where an allowed word is close to ``word``, else nothing."""
         self.left -= len(self.allowed)
         if self.left < 0 or len(word) > LONGEST_WORD:
             return ""
@@ -31,10 +31,10 @@ class Suggestions:
 
 
 def suggest(word: str, allowed: Iterable[str]) -> str:
-    """What ``Suggestions`` finds for a single word."""
+    """The suggestion of ``Suggestions`` for a single word."""
     return Suggestions(list(allowed)).find(word)
 
 
 def describe_unknown(what: str, name: str, known: Collection[str]) -> str:
-    """That ``name`` is no ``what``, which are ``known``, and which of them it may have been."""
+    """The error text for ``name``, which is no ``what``: the ``known`` ones, and the one that it may stand for."""
     return f"unknown {what} {name!r}; allowed: {', '.join(known)}{suggest(name, known)}"

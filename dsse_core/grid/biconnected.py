@@ -17,9 +17,9 @@ from dsse_core.grid.network import Network
 
 
 class Block(NamedTuple):
-    """``top``: its bus nearest to the substation; ``buses``: its other buses; each bus is below one block only.
+    """A block. ``top``: its bus nearest to the substation; ``buses``: its other buses; ``branches``: ids of branches.
 
-    ``branches``: their ids.
+    Every bus but the substation is in ``buses`` of exactly one block.
     """
 
     top: int
@@ -41,7 +41,7 @@ class Incidence:
 
 
 def list_incidence(network: Network) -> Incidence:
-    """Of all buses of ``network``."""
+    """The incidence of all buses of ``network``."""
     table = network.table
     here, there = (np.stack(ends, axis=1).ravel() for ends in ((table.f, table.t), (table.t, table.f)))
     order = np.argsort(here, kind="stable")
@@ -99,7 +99,10 @@ class _Blocks:
         self.found: list[Block] = []
 
     def add(self, trail: list[int], entry: int, bus: int, top: int) -> None:
-        """Everything on ``trail`` from ``entry`` on, which leads from ``top`` to ``bus``, and is taken off."""
+        """Adds the block of all branches on ``trail`` from ``entry`` on, and takes them off ``trail``.
+
+        ``entry`` is the branch from ``top`` to ``bus``.
+        """
         branches = [trail.pop()]
         if branches[0] == entry:  # in no loop, as nearly everywhere in a feeder
             self.found.append(Block(self._bus_ids[top], (self._bus_ids[bus],), (self._branch_ids[entry],)))

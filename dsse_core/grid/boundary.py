@@ -1,8 +1,8 @@
-"""The variables y of a boundary: how many, of which kinds, buses and phases, and what they are called.
+"""The variables y of a boundary: their number, kinds, buses, phases and names.
 
 A name stands for two variables in each phase: ``s@12>area2`` for (p, q), the power from bus 12 into the branches of
-area2, and ``v@12`` for (vm, va), the voltage of bus 12. Phases follow the bus: ``s@12.abc>area2``, ``v@12.s1s2``. All
-lengths of messages, and what is done with their numbers, follow from the names.
+area2, and ``v@12`` for (vm, va), the voltage of bus 12. Phases follow the bus: ``s@12.abc>area2``, ``v@12.s1s2``. The
+lengths of messages and the meaning of their numbers follow from the names.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ DEGREE = {Kind.P: 2.0, Kind.Q: 2.0, Kind.VM: 1.0, Kind.VA: 0.0}
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """One of y, at ``bus``; ``area``: into whose branches a power flows, empty of a voltage."""
+    """A variable of y at ``bus``. ``area``: the area into whose branches a power flows; empty for a voltage."""
 
     kind: Kind
     bus: int
@@ -55,32 +55,32 @@ class Boundary:
 
     @cached_property
     def variables(self) -> tuple[Variable, ...]:
-        """Those of y, in its order."""
+        """The variables of y, in its order."""
         return tuple(variable for name in self.names for variable in _read_name(name))
 
     @cached_property
     def d(self) -> int:
-        """How many variables there are."""
+        """The number of variables."""
         return len(self.variables)
 
     @cached_property
     def places(self) -> dict[Kind, np.ndarray]:
-        """Kind -> where in y its variables stand."""
+        """Kind -> the positions of its variables in y."""
         return {kind: np.flatnonzero([variable.kind is kind for variable in self.variables]) for kind in Kind}
 
     @cached_property
     def degrees(self) -> np.ndarray:
-        """Of each variable, shape (d,), see ``DEGREE``."""
+        """The degree of each variable, shape (d,), see ``DEGREE``."""
         return np.array([DEGREE[variable.kind] for variable in self.variables])
 
     @cached_property
     def n_powers(self) -> int:
-        """How many of the first variables are powers."""
+        """The number of powers, which are the first variables."""
         return sum(variable.kind in (Kind.P, Kind.Q) for variable in self.variables)
 
     @property
     def is_single(self) -> bool:
-        """Whether the areas meet at one bus with one phase: two powers and a voltage."""
+        """True where the areas meet at a single bus with one phase: y = (p, q, vm, va)."""
         return self.d == 2 * self.n_powers == 4
 
     @cached_property
@@ -112,7 +112,7 @@ def boundary_of(names: tuple[str, ...]) -> Boundary:
 
 @functools.lru_cache(maxsize=1024)
 def find_wrong_name(names: tuple[str, ...]) -> str:
-    """What no boundary can have among the ``names`` of its variables; empty if it can have them."""
+    """The first problem of ``names`` as names of a boundary's variables, as text; empty if there is none."""
     for name in names:
         found = NAME.fullmatch(name)
         if found is None or (found["what"] == "s") != bool(found["area"]):

@@ -1,4 +1,4 @@
-"""Tables of arrays: buses, branches and meters column by column, and objects of theirs made when somebody asks."""
+"""Tables of arrays: buses, branches and meters column by column; their objects are made on request."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from typing import Any, Generic, TypeVar, overload
 import numpy as np
 
 Item = TypeVar("Item")
-DEAR = 8  # how many times as long as one of all an object takes that is made by itself
+DEAR = 8  # an object made by itself takes so many times as long as an object made with all others
 
 
 class Records(Sequence[Item], Generic[Item]):
-    """A sequence of objects that are kept as columns; equal to the tuple of them. All are made at the first request for
-    all, or when single ones have been asked for so often that this repays it.
+    """A sequence of objects that are kept as columns; equal to the tuple of them.
+
+    All objects are made at the first request for all, or after so many requests for single ones that this pays.
 
     ``columns``: name of an attribute -> its values, (n,), an array or, of text and objects, a sequence.
     """
@@ -35,11 +36,11 @@ class Records(Sequence[Item], Generic[Item]):
         return tuple(self.make(**dict(zip(self.columns, values, strict=True))) for values in zip(*plain, strict=True))
 
     def take(self, rows: np.ndarray) -> Records[Item]:
-        """Those at the positions ``rows``, (k,), as columns."""
+        """The items at the positions ``rows``, (k,), as columns."""
         return Records(self.make, {name: _take_of_column(column, rows) for name, column in self.columns.items()})
 
     def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.make, self.columns)  # without the objects, of which the other side makes its own
+        return type(self), (self.make, self.columns)  # without the objects: the receiving process makes its own
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()), ()))
@@ -77,12 +78,12 @@ def _take_of_column(column: Any, rows: np.ndarray) -> Any:
 
 
 def take_items(items: Sequence[Item], rows: np.ndarray) -> Sequence[Item]:
-    """Those at the positions ``rows``, (k,); columns of columns."""
+    """The items at the positions ``rows``, (k,): columns where ``items`` are columns, else a tuple."""
     return items.take(rows) if isinstance(items, Records) else tuple(items[row] for row in rows.tolist())
 
 
 def split_by(number: np.ndarray, count: int) -> list[np.ndarray]:
-    """Of each of ``count`` numbers, from 0 on, the positions where it stands in ``number`` (n,), in rising order."""
+    """The positions of each of the numbers 0 to ``count`` - 1 in ``number`` (n,), in rising order."""
     order = np.argsort(number, kind="stable")
     ends = np.searchsorted(number[order], np.arange(count + 1)).tolist()
     return [order[first:last] for first, last in pairwise(ends)]
@@ -103,12 +104,12 @@ def read_ids(values: Sequence[int]) -> np.ndarray:
     """Ids of buses as an array, (n,)."""
     try:
         return np.array(values, dtype=np.int64)
-    except OverflowError:  # a number of a bus that nobody has, but that a message must be able to name
+    except OverflowError:  # an id that no bus of a network has, but that an error must be able to name
         return np.array(values, dtype=object)
 
 
 def read_given(items: Sequence[Any], name: str) -> Iterable[Any]:
-    """The attribute ``name``, which has a default, of ``items``: of all, or of none where there is no such column."""
+    """The attribute ``name``, which has a default, of all ``items``; nothing where columns have none of this name."""
     if isinstance(items, Records):
         given: Iterable[Any] = items.columns.get(name, ())
         return given
@@ -116,7 +117,7 @@ def read_given(items: Sequence[Any], name: str) -> Iterable[Any]:
 
 
 class Rows:
-    """Where ids stand: the row of each."""
+    """Mapping of ids, given as a column, to their rows."""
 
     def __init__(self, ids: np.ndarray) -> None:
         self._ids = ids
@@ -154,7 +155,9 @@ class Rows:
 
 
 def find_distinct(numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where each of ``numbers`` (n,) stands first, (k,) rising, and of each number the position there of its own."""
+    """The first position of each distinct number of ``numbers`` (n,), (k,) rising; and for each of ``numbers``, (n,),
+    the place of its first position among these.
+    """
     n = len(numbers)
     if np.diff(np.sort(numbers)).all():
         return np.arange(n), np.arange(n)
@@ -166,7 +169,7 @@ def find_distinct(numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def rows_of_texts(known: Iterable[str | bytes], wanted: Iterable[str | bytes | None]) -> np.ndarray:
-    """The position of each text ``wanted`` in ``known``; -1 where it is not there, -2 of None."""
+    """The position of each text ``wanted`` in ``known``; -1 for a text that is not there, -2 for None."""
     row: dict[str | bytes | None, int] = {text: k for k, text in enumerate(known)}
     row[None] = -2
     return np.array([row.get(text, -1) for text in wanted], dtype=np.int64)

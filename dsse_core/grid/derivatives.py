@@ -13,10 +13,11 @@ ACTIVE, REACTIVE, CURRENT, MAGNITUDE, ANGLE = range(5)  # what a meter reads
 
 @compiled
 def linearize(x, reads, bus_row, indptr, column, y, at_bus, wanted, floors):
-    """h(x), and of the derivatives by va of all stored entries of y, and then by vm, those at the places ``wanted``.
+    """h(x), (n_meas,), and derivatives at the places ``wanted`` among those by va, then by vm, of all entries of y.
 
-    ``reads`` (n_meas,): what each meter does. ``floors``: of currents and of voltages, below which derivatives are 0.
-    Without ``wanted`` no derivative is found.
+    ``reads`` (n_meas,): the quantity that each meter reads. ``floors``: below the first the derivative of a current
+    magnitude is 0; the second is the least divisor of the derivatives of |u| and arg u. Without ``wanted`` no
+    derivative is found.
     """
     n, n_entries = len(x) // 2, len(column)
     phase = np.empty(n, dtype=np.complex128)
@@ -46,7 +47,7 @@ def linearize(x, reads, bus_row, indptr, column, y, at_bus, wanted, floors):
 
 @compiled
 def read(kind, u, i, floors):
-    """What a meter reads of its voltage ``u`` and current ``i``, and ``of_u`` and ``of_i``."""
+    """The reading h of a meter at voltage ``u`` and current ``i``; ``of_u``, ``of_i`` of dh = Re(of_u du + of_i di)."""
     if kind == ACTIVE:
         return u.real * i.real + u.imag * i.imag, i.conjugate(), u.conjugate()
     if kind == REACTIVE:

@@ -1,4 +1,4 @@
-"""Dividing a network into areas: who gets which branch, what is no tree, and what each area then knows."""
+"""Division of a network into areas: the branches of each, the tree of the areas, and what each area then knows."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def build_partition(
     area_buses: Mapping[str, Sequence[int]],
     local_slack: Mapping[str, tuple[int, float]] | None = None,
 ) -> Partition:
-    """Divide ``network`` into the named areas; ``area_buses`` lists the buses of each, boundary buses in several.
+    """Divides ``network`` into the named areas; ``area_buses`` lists the buses of each, boundary buses in several.
 
     The local slack of an area is the substation or the first voltage-holding generator in it, else the
     boundary bus towards the substation; ``local_slack`` (area -> bus, vm in p.u.) overrides it.
@@ -58,9 +58,9 @@ def build_partition(
 
 @dataclass(frozen=True)
 class _Members:
-    """Which buses of the network the areas list. ``rows``: of each area, in rising order. ``areas_at``: row of a bus
-    that several areas list -> their places in ``names``. ``only`` (n_bus,): of any other bus the place of its only
-    area, -1 where it has none.
+    """The buses of the network that the areas list. ``rows``: of each area, in rising order. ``areas_at``: row of a bus
+    that several areas list -> their places in ``names``. ``only`` (n_bus,): the place of the only area that lists a
+    bus, -1 where none or several do.
     """
 
     names: tuple[str, ...]
@@ -90,7 +90,7 @@ def _find_members(network: Network, area_buses: Mapping[str, Sequence[int]]) -> 
 
 
 def _with_schedule(partition: Partition) -> Partition:
-    """Every area with what it has to know of the whole: the way to the hub, how many areas there are, its start."""
+    """The partition with what each area must know of the whole: its way to the hub, the number of areas, its start."""
     network, towards = partition.network, _find_ways(partition, partition.hub)
     assert network.slack is not None  # checked by _find_bus_problems
     vm, va = find_no_load(network, network.slack.bus)
@@ -112,9 +112,10 @@ def _with_schedule(partition: Partition) -> Partition:
 
 
 def _is_apart(area: Area, unloaded: Mapping[int, tuple[float, float]]) -> bool:
-    """Whether an area that knows its entry voltage alone finds other voltages than the ``unloaded`` grid has.
+    """True where an area that knows its entry voltage alone finds other voltages than the ``unloaded`` grid has.
 
-    So it does where taps or shifts do not cancel around a loop, in the area or through it.
+    The voltages differ where taps or shifts do not cancel around a loop, in the area or through it. ``unloaded``: bus
+    -> (vm, va), p.u. and rad.
     """
     expected = np.array([unloaded[bus.id] for bus in area.network.buses])
     return bool(abs(np.column_stack(area.find_no_load()) - expected).max() > SAME_VOLTAGE)
@@ -163,7 +164,9 @@ def _find_bus_problems(network: Network, area_buses: Mapping[str, Sequence[int]]
 
 
 def _assign_branches(network: Network, members: _Members) -> tuple[list[np.ndarray], list[str]]:
-    """Give each branch in service to the one area that holds both its ends, by rows; find areas in pieces."""
+    """The branches in service of each area, by rows: those whose two ends it alone lists together; and all problems,
+    among them areas in pieces.
+    """
     table, names, problems = network.table, members.names, []
     near, far = members.only[table.f], members.only[table.t]
     inside = (near >= 0) & (near == far)
@@ -192,7 +195,10 @@ def _assign_branches(network: Network, members: _Members) -> tuple[list[np.ndarr
 
 
 def _find_pieces(network: Network, members: _Members, area: np.ndarray, place: np.ndarray) -> Iterator[str]:
-    """Which areas the branches do not join that they hold: the places of ``area`` and ``place`` belong together."""
+    """A problem for each area that its own branches do not connect, as text.
+
+    Area ``area[k]`` holds the branch at ``place[k]`` among those in service.
+    """
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
@@ -215,9 +221,13 @@ def _find_pieces(network: Network, members: _Members, area: np.ndarray, place: n
 
 
 def _grow_tree(network: Network, members: _Members) -> dict[str, list[Neighbour]]:
-    """Walk from the substation over areas and boundary buses; an area and its parent may meet at several of these.
+    """The neighbours of each area, by a walk from the substation over areas and boundary buses.
 
-    Any other second way to the same place is a ring through more areas.
+    An area and its parent may meet at several boundary buses. Any other second way to an area is a ring through more
+    areas.
+
+    Raises:
+        InvalidInputError: the areas form such a ring.
     """
     assert network.slack is not None  # checked by _find_bus_problems
     ids, names = network.table.bus_id, members.names
@@ -267,7 +277,7 @@ def _buses_at(parent: Neighbour | None) -> tuple[int, ...]:
 def _loop_error(
     network: Network, entered_by: Mapping[str, tuple[int, str] | None], one: str, other: str, bus: int
 ) -> InvalidInputError:
-    """Name the cycle that closes where areas ``one`` and ``other`` meet again at ``bus``."""
+    """The error that names the cycle that closes where areas ``one`` and ``other`` meet again at ``bus``."""
 
     def path(name: str) -> list[str]:
         names = [name]

@@ -1,4 +1,4 @@
-"""What a meter is and what it read: kinds, places, values and standard deviations (p.u. and rad)."""
+"""Meters and their readings: kinds, places, values and standard deviations (p.u. and rad)."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _OF_INJECTION = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
 
 
 class Source(StrEnum):
-    """Where a value comes from: a meter, a forecast, or the certainty that nothing is injected."""
+    """The origin of a value: a meter, a forecast, or the certainty that nothing is injected."""
 
     TELEMETERED = "telemetered"
     PSEUDO = "pseudo"
@@ -108,10 +108,10 @@ def check_measurements(network: Network, measurements: Sequence[Measurement]) ->
 
 
 def read_numbers(name: str, given: ArrayLike) -> np.ndarray:
-    """``given``, which errors call ``name``, as floats; NaN where it is masked: what is behind a mask is no reading.
+    """``given``, which errors call ``name``, as floats; NaN where it is masked: a masked value is no reading.
 
     Raises:
-        InvalidInputError: it has something else than real numbers.
+        InvalidInputError: ``given`` has something else than real numbers.
     """
     if isinstance(given, np.ma.MaskedArray):
         given = np.ma.filled(given.astype(object), np.nan)
@@ -125,13 +125,17 @@ def read_numbers(name: str, given: ArrayLike) -> np.ndarray:
 
 
 def are_usable(sigmas: np.ndarray) -> np.ndarray:
-    """Which ``sigmas`` are standard deviations that an estimate can work with, shape as given."""
+    """True for each of ``sigmas`` that an estimate can use as a standard deviation, shape as given."""
     usable: np.ndarray = (sigmas > LEAST_USABLE_SIGMA) & (sigmas < MOST_USABLE_SIGMA)
     return usable
 
 
 def check_readings(network: Network, meters: Sequence[Meter], values: np.ndarray, sigmas: np.ndarray) -> None:
-    """As ``check_measurements``, of readings (n_meas,) in arrays."""
+    """Checks readings (n_meas,) in arrays as ``check_measurements`` does.
+
+    Raises:
+        InvalidInputError: see ``check_measurements``.
+    """
     readings = zip(meters, values.tolist(), sigmas.tolist(), strict=True)
     check_measurements(network, [Measurement(meter, value, sigma) for meter, value, sigma in readings])
 

@@ -20,7 +20,7 @@ from dsse_core.grid.meter_table import KINDS, tabulate_meters
 from dsse_core.grid.network import Network
 
 CURRENT_FLOOR = 1e-9  # p.u.; below it the derivative of |i| is undefined and taken as 0
-VOLTAGE_FLOOR = 1e-9  # p.u.; the same for |u| and arg u
+VOLTAGE_FLOOR = 1e-9  # p.u.; least divisor |u| of the derivatives of |u| and arg u
 
 
 @dataclass(frozen=True)
@@ -78,12 +78,12 @@ class MeasurementModel:
         return found
 
     def places_of(self, entries: np.ndarray) -> np.ndarray:
-        """Where the stored ``entries`` of H are among the derivatives by va and then by vm of those of y."""
+        """The places of the stored ``entries`` of H among the derivatives by va, then by vm, of the entries of y."""
         return np.asarray(self._pattern[0][entries])
 
     @cached_property
     def _reads(self) -> np.ndarray:
-        """What each meter reads, as ``derivatives`` has it."""
+        """The quantity that each meter reads, (n_meas,), by the numbers of ``derivatives``."""
         reads = self._is_reactive.astype(np.int8)
         for k, rows in enumerate(self._rows):
             reads[rows] = 2 + k
@@ -120,7 +120,9 @@ class MeasurementModel:
 
     @cached_property
     def _pattern(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where the derivatives by va, then by vm, of all stored entries of y go in the rows of H."""
+        """The pattern of H: the order in which its rows hold the derivatives by va, then by vm, of all stored entries
+        of y; the columns; the ends of rows.
+        """
         order = np.argsort(np.concatenate([self.meter_row, self.meter_row]), kind="stable")
         indices = np.concatenate([self.y.indices, self.y.indices + self.y.shape[1]])[order]
         return order, indices, 2 * self.y.indptr
@@ -134,7 +136,7 @@ class MeasurementModel:
 
     @cached_property
     def _rows(self) -> list[np.ndarray]:
-        """Which meters read no power: rows of |i|, |u| and arg u."""
+        """The rows of the meters that read no power: of |i|, of |u| and of arg u."""
         return [np.flatnonzero(self.kinds == kind) for kind in _NO_POWER]
 
     @cached_property
@@ -166,7 +168,9 @@ def stack_models(above: MeasurementModel, below: MeasurementModel) -> Measuremen
 
 
 def build_measurement_model(network: Network, admittance: Admittance, meters: Sequence[Meter]) -> MeasurementModel:
-    """Select for each meter its bus and its admittance row: of ``ybus`` at a bus, of ``yf`` or ``yt`` on a branch."""
+    """The model of ``meters``: of each its bus and its admittance row, of ``ybus`` at a bus, of ``yf`` or ``yt`` on a
+    branch.
+    """
     table = tabulate_meters(network, meters)
     f = np.append(network.table.f, -1)  # which row -1 is
     branch = np.maximum(table.branch, -1)

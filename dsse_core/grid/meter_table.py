@@ -21,8 +21,10 @@ _CODE_OF_KIND = {id(kind): k for k, kind in enumerate(KINDS)}  # members are sin
 
 @dataclass(frozen=True)
 class MeterTable:
-    """Shape (n_meas,) each. ``kind``: position in KINDS. ``bus``: row of the bus, UNKNOWN where the network has none
-    such. ``branch``: its row among those in service; UNKNOWN, or NO_BRANCH of a meter at a bus."""
+    """Columns of meters, shape (n_meas,) each. ``kind``: position in KINDS. ``bus``: row of the bus, UNKNOWN where the
+    network has no such bus. ``branch``: row of the branch among those in service, UNKNOWN where it is not among them,
+    NO_BRANCH for a meter at a bus.
+    """
 
     kind: np.ndarray
     bus: np.ndarray
@@ -32,12 +34,12 @@ class MeterTable:
 def make_meters(
     network: Network, kind: np.ndarray, bus: np.ndarray, branch: np.ndarray, source: np.ndarray | None = None
 ) -> Records[Meter]:
-    """Meters of ``network`` from columns (n_meas,), in which a plan finds what it needs without visiting any.
+    """Meters of ``network`` from columns (n_meas,); a plan reads the columns without visiting each meter.
 
     Args:
         kind: positions in KINDS.
         bus: ids of buses.
-        branch: rows of ``network.branches``, NO_BRANCH of a meter at a bus.
+        branch: rows of ``network.branches``, NO_BRANCH for a meter at a bus.
         source: positions in SOURCES; all telemetered by default.
     """
     if source is None:
@@ -56,7 +58,10 @@ def join_meters(network: Network, parts: Sequence[Sequence[Meter]]) -> Sequence[
 
 
 def each_fits(network: Network, meters: Records[Meter]) -> bool:
-    """Whether ``find_meter_problems`` would find none of any of ``meters``, of ``make_meters``, by itself."""
+    """True where ``find_meter_problems`` would find no problem of any single meter; duplicates are not looked for.
+
+    ``meters`` are those of ``make_meters``.
+    """
     table = network.table
     kind, bus, branch = (meters.columns[key] for key in ("kind", "bus", "branch"))
     if (table.rows.find(bus) < 0).any() or ((branch >= 0) != _IS_OF_BRANCH[kind]).any() or (branch == UNKNOWN).any():
@@ -70,7 +75,7 @@ def each_fits(network: Network, meters: Records[Meter]) -> bool:
 
 @dataclass(frozen=True)
 class _MakeMeter:
-    """A meter of its row of the columns."""
+    """Maker of a meter from its row of the columns."""
 
     branch_ids: Sequence[str]
 
@@ -108,20 +113,20 @@ def _list_branches(meters: Records[Meter]) -> list[str | None]:
 
 
 def list_texts(texts: Sequence[str], numbers: np.ndarray) -> list[str]:
-    """Of ``texts`` the ones at the positions ``numbers`` (k,)."""
+    """The items of ``texts`` at the positions ``numbers``, (k,)."""
     taken: list[str] = np.array(texts, dtype=object)[numbers].tolist()
     return taken
 
 
 def find_places(network: Network, meters: Sequence[Meter], wanted: Sequence[Meter]) -> np.ndarray:
-    """The position in ``meters`` of each one ``wanted``, (k,), -1 where it is not there; all fit the network."""
+    """The position in ``meters`` of each of ``wanted``, (k,), -1 where it is not there; all fit the network."""
     if meters is wanted:
         return np.arange(len(wanted))
     return Rows(number_meters(network, meters)).find(number_meters(network, wanted))
 
 
 def number_meters(network: Network, meters: Sequence[Meter]) -> np.ndarray:
-    """A number for each place and kind of a meter, (n_meas,), of ``meters`` each of which fits."""
+    """A number for each of ``meters``, (n_meas,), the same for the same kind and place; each meter fits the network."""
     table = tabulate_meters(network, meters)
     number: np.ndarray = ((table.branch - NO_BRANCH) * len(network.table.bus_id) + table.bus) * len(KINDS) + table.kind
     return number
@@ -144,7 +149,7 @@ def tabulate_meters(network: Network, meters: Sequence[Meter]) -> MeterTable:
 
 
 def read_meters_of(readings: Sequence[Measurement]) -> Sequence[Meter]:
-    """The meter of each of ``readings``; columns of columns."""
+    """The meter of each of ``readings``: columns where ``readings`` are columns, else a tuple."""
     if isinstance(readings, Records):
         meters: Sequence[Meter] = readings.columns["meter"]
         return meters
@@ -160,7 +165,7 @@ def number_kinds(meters: Sequence[Meter]) -> np.ndarray:
 
 
 def find_virtual(meters: Sequence[Meter]) -> np.ndarray:
-    """Which of ``meters`` are virtual, shape (n_meas,)."""
+    """True for each of ``meters`` that is virtual, shape (n_meas,)."""
     if isinstance(meters, Records):
         virtual: np.ndarray = meters.columns["source"] == SOURCES.index(Source.VIRTUAL)
         return virtual
@@ -168,6 +173,6 @@ def find_virtual(meters: Sequence[Meter]) -> np.ndarray:
 
 
 def can_be_virtual(meters: Sequence[Meter]) -> bool:
-    """Whether all of ``meters`` that are virtual are of injections."""
+    """True where all of ``meters`` that are virtual are of injections."""
     virtual = find_virtual(meters)
     return not virtual.any() or bool(_IS_OF_INJECTION[number_kinds(meters)[virtual]].all())

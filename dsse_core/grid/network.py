@@ -21,12 +21,13 @@ from dsse_core.grid.columns import Records, read_given
 from dsse_core.grid.network_table import NetworkTable, tabulate
 
 ZERO_IMPEDANCE = 1e-6
-"""A branch below this share of the median |r + jx| is none. The power through it is a difference of equal numbers, so
-that estimates lose digits: measured, they agree to 1e-8 p.u. down to this ratio and to 3.5e-6 at 6e-8."""
+"""A branch below this share of the median |r + jx| counts as without impedance. The power through it is a difference of
+nearly equal numbers, so that estimates lose digits: measured, they agree to 1e-8 p.u. down to this ratio and to 3.5e-6
+at 6e-8."""
 
 
 class Control(StrEnum):
-    """What a generator holds: the reference voltage, its active power and voltage, or its P and Q."""
+    """The quantities that a generator holds: the reference voltage, its active power and voltage, or its P and Q."""
 
     SLACK = "slack"
     VOLTAGE = "voltage"
@@ -55,8 +56,8 @@ class Branch:
     """A line or transformer: series ``r + jx``, total charging ``b`` and leakage or iron losses ``g``, in p.u.
 
     Half of ``g + jb`` stands at each end. The tap stands at the from side, MATPOWER's convention: without load
-    ``v_to = v_from / (tap * exp(j * shift))``; ``shift`` in rad. What it may carry, where that is known: ``i_max``, the
-    current at either end, or ``s_max``, the apparent power, p.u.
+    ``v_to = v_from / (tap * exp(j * shift))``; ``shift`` in rad. The rating, where it is known: ``i_max``, the current
+    at either end, or ``s_max``, the apparent power, p.u.
     """
 
     id: str
@@ -93,8 +94,8 @@ class Generator:
 class Network:
     """Buses, branches and generators. At most one generator is the slack; an area's part may have none.
 
-    Buses and branches are tuples, or columns: ``Records(Bus, {"id": ..., "base_kv": ...})``, of which objects are made
-    only where somebody asks for one.
+    Buses and branches are tuples, or columns: ``Records(Bus, {"id": ..., "base_kv": ...})``, whose objects are made on
+    request only.
 
     Raises:
         InvalidInputError: listing every duplicate, dangling reference and impossible value.
@@ -124,7 +125,7 @@ class Network:
 
     @cached_property
     def branch_ids(self) -> Sequence[str]:
-        """Of all branches."""
+        """Ids of all branches, in the order of ``branches``."""
         if isinstance(self.branches, Records):
             ids: Sequence[str] = self.branches.columns["id"]
             return ids
@@ -132,12 +133,12 @@ class Network:
 
     @cached_property
     def active_branch_ids(self) -> Sequence[str]:
-        """Of the branches in service, in the order of the rows of the branch admittances."""
+        """Ids of the branches in service, in the order of the rows of the branch admittances."""
         return [self.branch_ids[k] for k in self.table.active.tolist()]
 
     @cached_property
     def row(self) -> dict[int, int]:
-        """Bus id -> array position: the only place where the two are related."""
+        """Bus id -> array position; ``table.rows`` finds the positions of arrays of ids."""
         return {bus: row for row, bus in enumerate(self.table.bus_id.tolist())}
 
     @cached_property
@@ -195,14 +196,14 @@ class Network:
     def find_zero_impedances(self) -> tuple[Branch, ...]:
         """Branches in service whose |r + jx| is below ``ZERO_IMPEDANCE`` times the median of the whole network.
 
-        To be asked of a whole network: an area's part of it has another median.
+        Only of a whole network: an area's part of it has another median.
         """
         active = self.table.active
         short = abs(self.table.series[active]) < ZERO_IMPEDANCE * self.median_impedance
         return tuple(self.branches[k] for k in active[short].tolist())
 
     def find_supply_problems(self) -> list[str]:
-        """That there is no substation, or which buses no path of branches in service joins to it, as text."""
+        """Problems of supply, as text: no substation, or buses that no path of branches in service joins to it."""
         if self.slack is None:
             return ["the network has no slack bus (substation); give it one source of kind 'slack'"]
         if unreached := self.find_unreached_buses(self.slack.bus):
@@ -224,13 +225,13 @@ def _find_problems(network: Network) -> Iterable[str]:
 
 
 def _is_possible(network: Network) -> bool:
-    """Whether no bus and no branch has a problem, found without a text for each."""
+    """True where no bus and no branch has a problem; all are checked at once and no texts are made."""
     ids = network.branch_ids
     return all(ids) and len(set(ids)) == len(ids) and network.table.is_possible() and _have_possible_ratings(network)
 
 
 def _have_possible_ratings(network: Network) -> bool:
-    """Whether all ratings that are given can be."""
+    """True where all ratings that are given are positive and finite."""
     ratings = set(read_given(network.branches, "i_max")).union(read_given(network.branches, "s_max"))
     return all(0 < rating < math.inf for rating in ratings - {None})
 

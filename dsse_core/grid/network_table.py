@@ -1,4 +1,4 @@
-"""A network column by column: what is computed from all of its buses and branches is computed from arrays."""
+"""A network column by column: arrays for all that is computed from all of its buses and branches."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class NetworkTable:
 
     @cached_property
     def active_row(self) -> np.ndarray:
-        """Of each branch its place among those in service, -1 of others, shape (n_all_branches,)."""
+        """The place of each branch among those in service, -1 for the others, shape (n_all_branches,)."""
         row = np.full(len(self.in_service), -1)
         row[self.active] = np.arange(len(self.active))
         return row
@@ -84,7 +84,7 @@ class NetworkTable:
     @cached_property
     def graph(self) -> csr_array:
         """An entry for each pair of buses that branches in service join, (n_bus, n_bus)."""
-        from scipy.sparse import csr_array  # which takes 0.1 s, and nothing else of a network needs it
+        from scipy.sparse import csr_array  # the import takes 0.1 s, and nothing else of a network needs it
 
         return csr_array((np.ones(len(self.f)), (self.f, self.t)), shape=(len(self.bus_id),) * 2)
 
@@ -97,7 +97,7 @@ class NetworkTable:
         return number
 
     def is_possible(self) -> bool:
-        """Whether values, ids and ends of all buses and branches can be; ids of branches apart."""
+        """True where values, ids and ends of all buses and branches are possible; ids of branches are not checked."""
         complex_ones = (column.view(float) for column in (self.load, self.shunt, self.series, self.charging))
         numbers = np.concatenate([self.base_kv, self.tap, self.shift, *complex_ones])
         return bool(
@@ -132,7 +132,7 @@ def tabulate(buses: Sequence[Any], branches: Sequence[Any]) -> NetworkTable:
 
 
 def _complex(real: np.ndarray, imag: np.ndarray) -> np.ndarray:
-    """As ``real + 1j * imag``, but of infinite numbers, too."""
+    """``real + 1j * imag``, right for infinite numbers, too."""
     number = real.astype(complex)
     number.imag = imag
     return number

@@ -3,7 +3,7 @@
 Branches are divided among areas; a boundary bus is seen by every area whose branches meet there. Seen
 from the substation, the first area at a boundary bus owns it (its load, its generators, its meters); the
 others are children of the owner there. Neighbours are owner and child: the edges of the tree. They may meet at several
-buses, so that a ring passes through both; all of these the parent owns.
+buses, so that a ring passes through both; the parent owns all of these.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MOST_SHOWN = 4  # names of areas in one line
 class Neighbour:
     """Another area met at boundary bus ``bus``, the first of several; ``is_parent`` if it lies towards the substation.
 
-    ``variables``: names of those that both areas share (``boundary.py``), where they meet at several buses.
+    ``variables``: names of the variables that both areas share (``boundary.py``), where they meet at several buses.
     """
 
     area: str
@@ -39,14 +39,15 @@ class Neighbour:
 
 @dataclass(frozen=True, repr=False)
 class Area:
-    """What one area knows of the grid: its own part of the network and its neighbours' names.
+    """The knowledge that one area has of the grid: its own part of the network and its neighbours' names.
 
     ``network`` holds the area's buses and branches; load, shunt and generators of a boundary bus stand only
     in the network of its owner. ``slack_bus`` is where the local power flow holds the voltage; ``slack_vm``
     its set-point in p.u., None when it is the voltage that the parent publishes for that bus. ``reference``:
-    bus and angle (rad) of the substation, in every area that sees it. ``entry_voltage``: (vm, va), p.u. and rad, of
-    ``entry_bus`` in the unloaded grid. ``no_load``: (bus, vm, va) of the boundary buses there, where taps
-    do not cancel around a loop: then the area alone would find others.
+    bus and angle (rad) of the substation, in every area that sees it. ``towards_hub``: the neighbour on the way to the
+    hub, None in the hub. ``n_areas``: number of areas of the grid. ``entry_voltage``: (vm, va), p.u. and rad, of
+    ``entry_bus`` in the unloaded grid. ``no_load``: (bus, vm, va) of the boundary buses in the unloaded grid, where
+    taps or shifts do not cancel around a loop: the area alone would find other voltages.
     """
 
     name: str
@@ -66,7 +67,7 @@ class Area:
 
     @property
     def is_reference(self) -> bool:
-        """Whether the area holds the substation, and with it the angle reference of the grid."""
+        """True where the area holds the substation, and with it the angle reference of the grid."""
         return self.network.slack is not None
 
     @property
@@ -75,7 +76,9 @@ class Area:
 
     @property
     def entry_bus(self) -> int:
-        """Where a walk from the substation enters the area: the parent's bus, or the substation itself."""
+        """The bus where a walk from the substation enters the area: the first boundary bus with the parent, or the
+        substation itself; without both the local slack bus.
+        """
         return self.parent.bus if self.parent else self.reference[0] if self.reference else self.slack_bus
 
     @cached_property
@@ -87,19 +90,19 @@ class Area:
         }
 
     def find_no_load(self) -> tuple[np.ndarray, np.ndarray]:
-        """Its voltages (vm, va) in the unloaded grid, (n_bus,), p.u. and rad."""
+        """The area's voltages (vm, va) in the unloaded grid, (n_bus,), p.u. and rad."""
         held = {bus: vm for bus, vm, _ in self.no_load} | {self.entry_bus: self.entry_voltage[0]}
         angles = {bus: va for bus, _, va in self.no_load} | {self.entry_bus: self.entry_voltage[1]}
         return find_no_load(self.network, self.entry_bus, held, angles)
 
     @cached_property
     def not_owned(self) -> tuple[int, ...]:
-        """Its buses that the parent owns."""
+        """The area's buses that the parent owns."""
         return self.boundaries[self.parent.area].buses if self.parent else ()
 
     @cached_property
     def powers_into_children(self) -> tuple[Variable, ...]:
-        """From the area's buses, each once."""
+        """The powers from the area's buses into the branches of its children, each once."""
         there = (self.boundaries[n.area] for n in self.neighbours if not n.is_parent)
         return tuple(dict.fromkeys(power for boundary in there for power in boundary.variables[: boundary.n_powers]))
 
@@ -115,7 +118,9 @@ class Area:
 
     @cached_property
     def shunt_load(self) -> complex:
-        """What bus shunts and line charging consume at 1 p.u.; a bus that is not owned is bare in ``network``."""
+        """The power that bus shunts and line charging consume at 1 p.u., complex, p.u.; a bus that the area does not
+        own has no shunt in ``network``.
+        """
         shunts = sum((complex(bus.g_shunt, -bus.b_shunt) for bus in self.network.buses), complex(0.0))
         return shunts + sum(complex(branch.g, -branch.b) for branch in self.network.active_branches)
 
@@ -156,7 +161,7 @@ class Partition:
 
     @cached_property
     def owner(self) -> np.ndarray:
-        """Of each bus the place in ``areas`` of the one that owns it, shape (n_bus,)."""
+        """The place in ``areas`` of each bus's owner, shape (n_bus,); -1 for a bus in no area."""
         owner = np.full(len(self.network.table.bus_id), -1)
         for k, area in enumerate(self.areas):
             is_owned = ~np.isin(area.network.table.bus_id, area.not_owned)
@@ -165,7 +170,7 @@ class Partition:
 
     @cached_property
     def holder(self) -> np.ndarray:
-        """Of each branch the place in ``areas`` of the one that holds it, shape (n_all_branches,); -1 of open ones."""
+        """The place in ``areas`` of the area that holds each branch, shape (n_all_branches,); -1 for open branches."""
         holder = np.full(len(self.network.table.in_service), -1)
         for k, area in enumerate(self.areas):
             holder[self.rows_of_branches[area.name]] = k
@@ -232,7 +237,7 @@ class Partition:
         return self._farthest_from(self._farthest_from(self.areas[0].name)[-1])
 
     def _farthest_from(self, start: str) -> tuple[str, ...]:
-        """The longest path that starts at area ``start``."""
+        """The areas on the longest path that starts at area ``start``."""
         before: dict[str, str | None] = {start: None}
         queue = [start]
         for name in queue:  # which grows: breadth first, the last is the farthest

@@ -1,6 +1,6 @@
-"""What the numbers of a network may be at most: far beyond any grid, far below where arithmetic loses its digits.
+"""Ranges of the numbers of a network: far beyond any grid, far below where arithmetic loses its digits.
 
-Asked of every network that comes from a file, of ours or of another project.
+They are checked for every network that comes from a file, of this or of another project.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Range:
     unit: str
 
     def find_problem(self, of: str, value: float) -> Iterator[str]:
-        """That ``value`` of what ``of`` names is outside, as text."""
+        """The problem, as text, that ``value`` of the quantity ``of`` lies outside; nothing where it lies inside."""
         if not self.least <= value <= self.most:
             unit = f" {self.unit}" if self.unit else ""
             yield f"{of} is {value:g}{unit}; it must lie between {self.least:g} and {self.most:g}{unit}; correct it"
@@ -52,7 +52,7 @@ def find_range_problems(network: Network) -> Iterator[str]:
 
 
 def find_base_problems(base_mva: float, base_kv: Mapping[int, float]) -> Iterator[str]:
-    """The same of what others are divided by; ``base_kv``: bus -> base voltage."""
+    """A problem for each base, by which other numbers are divided, that no grid has; ``base_kv``: bus -> base, kV."""
     yield from BASE_POWER.find_problem("base_mva", base_mva)
     for bus, kv in base_kv.items():
         yield from BASE_VOLTAGE.find_problem(f"bus {bus}: base voltage", kv)

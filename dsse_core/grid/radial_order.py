@@ -52,7 +52,10 @@ def find_tree(network: Network, root: int) -> Tree | str:
 
 
 def describe_no_tree(n_bus: int, n_branch: int, reached: int, root: int) -> str:
-    """Why ``n_branch`` branches that join ``reached`` buses to bus ``root`` make no tree of ``n_bus``; empty if one."""
+    """The reason why ``n_branch`` branches are no tree of ``n_bus`` buses, as text; empty if they are.
+
+    ``reached``: number of buses that the branches join to bus ``root``, itself included.
+    """
     if n_branch != n_bus - 1:
         return f"the network is not radial: {n_bus} buses, {n_branch} branches in service"
     if reached != n_bus:
@@ -62,8 +65,8 @@ def describe_no_tree(n_bus: int, n_branch: int, reached: int, root: int) -> str:
 
 @dataclass(frozen=True)
 class TableauPlaces:
-    """When the rows of a tableau are eliminated, by numbers that ascend: of each meter, (n_meas,), and of the voltages
-    of each bus by rows, (n_bus,).
+    """The places of a tableau's rows in the order of elimination, as ascending numbers: of each meter, (n_meas,), and
+    of the voltages of each bus, by rows, (n_bus,).
     """
 
     of_meter: np.ndarray
@@ -72,9 +75,9 @@ class TableauPlaces:
 
 @dataclass(frozen=True)
 class TableauOrder:
-    """``rows`` (n_meas + n_free,): of the tableau, as they are eliminated. ``fills_in``: whether the factor is fuller
-    than the tableau, so that pivots must not be moved far. ``blocks`` (n_meas + n_free,), of a tree: of the rows in
-    that order the place of the bus that each belongs to.
+    """An order of elimination. ``rows`` (n_meas + n_free,): the tableau's rows in that order. ``fills_in``: whether the
+    factor is fuller than the tableau, so that pivots must not be moved far. ``blocks`` (n_meas + n_free,): the place of
+    the bus that each of these rows belongs to, in a tree; None with loops.
     """
 
     rows: np.ndarray
@@ -87,7 +90,7 @@ def order_tableau(
 ) -> TableauOrder:
     """The order of the tableau [meters; state variables ``free``]; see ``place_tableau``.
 
-    ``n_read``: of the last meters, whose readings are further unknowns, after the voltages.
+    ``n_read``: number of the last meters, whose readings are further unknowns, after the voltages.
     """
     tree = find_tree(network, reference)
     has_loops = isinstance(tree, str)
@@ -110,9 +113,9 @@ def place_in_tree(tree: Tree, model: MeasurementModel) -> TableauPlaces:
 
 
 def place_tableau(place: np.ndarray, model: MeasurementModel) -> TableauPlaces:
-    """Where rows of a tableau come if buses come at ``place`` (n_bus,), one after another.
+    """The places of a tableau's rows where buses come at ``place`` (n_bus,), one after another.
 
-    Inside a bus: its injections, what else is metered there and on branches to buses that follow, then its voltage.
+    Inside a bus: its injections, the other meters there and on branches to buses that follow, then its voltage.
     An injection joins the multipliers of a bus to the voltages of its neighbours and no others, so that the tableau, in
     blocks of a bus, has the pattern of the network: a tree is eliminated from the leaves to the root.
     """

@@ -18,7 +18,8 @@ from dsse_core.row_threads import find_threads, share_out
 
 Solve = Callable[[PowerFlowPlan, np.ndarray, np.ndarray, int], PowerFlowResult]
 COMPILED = "dsse_core.power_flow.sweeps"  # the module
-# Loading numba takes 0.3 s of a processor, as rows in numpy do with so many buses; each row counts as so many more.
+# Loading numba takes 0.3 s of a processor. Rows in numpy take as long with so many buses; each row counts as so many
+# more.
 FEWEST_BUSES_OF_COMPILED, BUSES_OF_A_ROW = 500_000, 400
 
 
@@ -26,7 +27,7 @@ FEWEST_BUSES_OF_COMPILED, BUSES_OF_A_ROW = 500_000, 400
 class PowerFlowBatch:
     """The solved rows. ``vm`` p.u., ``va`` rad: shape (n_row, n_bus), network order; ``iterations`` (n_row,).
 
-    ``failures``: row -> what ``solve_power_flow`` raises for it; its numbers are NaN, its iterations 0.
+    ``failures``: row -> why it has no result, as text; its numbers are NaN, its iterations 0.
     """
 
     network: Network
@@ -52,13 +53,13 @@ def solve_power_flow_batch(
 ) -> PowerFlowBatch:
     """The power flow of each row of injections ``p`` and ``q``, p.u., (n_row, n_bus), network order.
 
-    Those of the slack bus do not count, nor q of a bus that holds its voltage.
+    Injections of the slack bus do not count, nor does q of a bus that holds its voltage.
 
     Args:
-        network: or its plan, which then says the method, and for which compiled code is loaded or made at once.
+        network: the network, or its plan: the plan sets the method, and compiled code is loaded or made at once.
         tolerance, max_iterations, method: see ``solve_power_flow``. Sweeps are compiled where that code is loaded
             already, where a plan is given, and where the rows are so many that loading numba pays.
-        threads: how many; all processors by default. The numbers do not depend on it.
+        threads: number of threads; all processors by default. The results do not depend on it.
 
     Raises:
         InvalidInputError: shapes that do not fit; a network that ``solve_power_flow`` rejects.
@@ -89,7 +90,7 @@ def _lay_out(plan: PowerFlowPlan, n_row: int, is_kept: bool) -> RadialLayout | N
 
 @dataclass(frozen=True)
 class _Rows:
-    """What is given, and the arrays that are filled. ``layout``: of compiled sweeps."""
+    """The rows to solve, and the arrays to fill. ``layout``: the tree of compiled sweeps, None without them."""
 
     plan: PowerFlowPlan
     layout: RadialLayout | None
@@ -110,7 +111,7 @@ class _Rows:
         return do
 
     def by_sweeps(self) -> Callable[[int, int], None]:
-        """What does rows in compiled code, and by Newton's method what does not end there."""
+        """The function that solves rows by compiled sweeps, and by Newton's method those that sweeps do not solve."""
         from dsse_core.power_flow.sweeps import build_factors, sweep_rows  # numba
 
         plan, layout = self.plan, self.layout

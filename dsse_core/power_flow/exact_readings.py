@@ -1,4 +1,4 @@
-"""What perfect meters read in a solved network, and how large that is: all places at once, then a look-up per meter."""
+"""Readings of perfect meters in a solved network, and their sizes: all places at once, then a look-up per meter."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ KIND = MeasurementKind
 
 
 def read_exactly(power_flow: PowerFlowResult, meters: Sequence[Meter]) -> tuple[np.ndarray, np.ndarray]:
-    """What each of ``meters``, which fit the network, would read without error, and its size: shape (n_meas,) each.
+    """The readings of ``meters``, which fit the network, without error, and their sizes: shape (n_meas,) each.
 
-    P.u. and rad; the size of a power is the apparent power at its place, of all else the absolute value.
+    P.u. and rad. The size of a power is the apparent power at its place, of all other readings the absolute value.
     """
     network = power_flow.network
     v = power_flow.vm * np.exp(1j * power_flow.va)

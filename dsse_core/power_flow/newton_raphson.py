@@ -44,11 +44,11 @@ class PowerFlowResult:
 
     @property
     def losses(self) -> complex:
-        """Series and shunt losses, p.u.: everything that is injected and not taken out again."""
+        """Series and shunt losses, complex, p.u.: the sum of all injections."""
         return complex(self.injection.sum())
 
     def read(self, meter: Meter) -> float:
-        """What a perfect meter would read, p.u. or rad.
+        """The reading of a perfect meter, p.u. or rad.
 
         Raises:
             InvalidInputError: the meter does not fit the network.
@@ -56,7 +56,7 @@ class PowerFlowResult:
         return float(self.read_all([meter])[0])
 
     def read_all(self, meters: Sequence[Meter]) -> np.ndarray:
-        """What perfect meters would read, p.u. or rad, shape (n_meas,).
+        """The readings of perfect meters, p.u. or rad, shape (n_meas,).
 
         Raises:
             InvalidInputError: listing every meter that does not fit the network or is given twice.
@@ -80,17 +80,18 @@ def solve_power_flow(
     max_iterations: int = 30,
     method: MethodChoice = "auto",
 ) -> PowerFlowResult:
-    """Solve ``v conj(ybus v) = s_generation - s_load`` from the unloaded network with all voltages held.
+    """Solves ``v conj(ybus v) = s_generation - s_load`` from the unloaded network with all voltages held.
 
-    By backward and forward sweeps where the network is radial and no bus but the slack holds its voltage; where they do
-    not reach the tolerance, and else, by Newton-Raphson. Nothing is compiled, and numba is not loaded.
+    Backward and forward sweeps solve it where the network is radial and no bus but the slack holds its voltage. Where
+    sweeps do not reach the tolerance, and in all other networks, Newton-Raphson does. Nothing is compiled, and numba is
+    not loaded.
 
     Args:
         slack: (bus, vm in p.u.) of a local slack that replaces the network's own, at angle 0.
         extra_load: bus -> complex load in p.u., on top of the network's.
         tolerance: largest power mismatch allowed, p.u.; at buses with impedances near zero, round-off.
         max_iterations: of Newton's method.
-        method: ``sweep``, ``newton``, or ``auto``: sweeps where they can serve.
+        method: ``sweep``, ``newton``, or ``auto``: sweeps where they can serve. ``sweep`` falls back on Newton, too.
 
     Raises:
         InvalidInputError: no slack bus, buses that it does not reach, unknown buses in the arguments, sweeps asked for
@@ -120,7 +121,11 @@ def solve_with_plan(
 def solve_by_newton(
     plan: PowerFlowPlan, scheduled: np.ndarray, limit: np.ndarray, max_iterations: int
 ) -> PowerFlowResult:
-    """As ``solve_with_plan``, by Newton-Raphson."""
+    """The power flow of ``solve_with_plan`` by Newton-Raphson only.
+
+    Raises:
+        PowerFlowDivergedError: names the bus with the largest mismatch.
+    """
     x, iterations = _newton(plan, scheduled, limit, max_iterations)
     va, vm = np.split(x, 2)
     v = vm * np.exp(1j * va)
@@ -129,7 +134,7 @@ def solve_by_newton(
 
 
 def _sweep(paths: TreePaths, plan: PowerFlowPlan, scheduled: np.ndarray, limit: np.ndarray) -> PowerFlowResult | None:
-    """The result, unless some bus but the root does not meet its schedule to ``limit``."""
+    """The result; None where sweeps do not converge, or a bus but the root does not meet its schedule to ``limit``."""
     if (found := sweep_paths(paths, scheduled)) is None:
         return None
     u, injection, sweeps = found

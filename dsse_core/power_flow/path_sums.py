@@ -24,9 +24,9 @@ class TreePaths:
     """A radial network in the order of a walk from its root, shape (n_bus,) each, relative to its no-load voltages v0.
 
     ``order``: network row of each bus. ``parent``: the place of the next bus on the way to the root; the root's is 0.
-    ``end``: the place after the last bus of its subtree. ``enter``, ``leave``: when
-    the tour enters and leaves it. ``z``: series impedance of the branch above it, at the child's side of its tap,
-    divided by ``|v0|^2`` of the child; 0 at the root. ``y``: shunts and charging at the bus, times ``|v0|^2``.
+    ``end``: the place after the last bus of its subtree. ``enter``, ``leave``: the steps at which the tour enters and
+    leaves it. ``z``: series impedance of the branch above it, at the child's side of its tap, divided by ``|v0|^2`` of
+    the child; 0 at the root. ``y``: shunts and charging at the bus, times ``|v0|^2``.
     """
 
     order: np.ndarray

@@ -1,4 +1,4 @@
-"""What a power flow needs to know of a network, found once and used for every schedule of injections."""
+"""Plan of power flows of a network, found once and used for every schedule of injections."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ from dsse_core.power_flow.path_sums import TreePaths, lay_out_paths
 
 P, Q = MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION
 MethodChoice = Literal["auto", "sweep", "newton"]
-ROUND_OFF = 1e-15  # of the sum of a bus' admittances: what its mismatch cannot fall below
+ROUND_OFF = 1e-15  # of the sum of a bus' admittances: its mismatch cannot fall below this share
 
 
 @dataclass(frozen=True)
 class PowerFlowPlan:
-    """``start``: x = [va; vm], (2 n_bus,), of no load but for set-points. ``held``: bus -> the voltage that it holds.
+    """The plan of power flows of ``network``.
 
-    ``paths``: the tree to sweep over, or, as text, why Newton's method is taken.
+    ``start``: x = [va; vm], (2 n_bus,), rad and p.u., of the unloaded network with all voltages held. ``held``: bus ->
+    the voltage that it holds, p.u. ``paths``: the tree to sweep over, or, as text, why Newton's method is taken.
     """
 
     network: Network
@@ -43,7 +44,7 @@ class PowerFlowPlan:
 
     @property
     def start_voltage(self) -> np.ndarray:
-        """Complex, (n_bus,)."""
+        """The voltages of ``start``, complex, p.u., (n_bus,)."""
         va, vm = np.split(self.start, 2)
         v: np.ndarray = vm * np.exp(1j * va)
         return v
@@ -60,7 +61,7 @@ class PowerFlowPlan:
 
     @cached_property
     def model(self) -> MeasurementModel:
-        """P at ``p_rows``, then Q at ``q_rows``."""
+        """The measurement model of P at ``p_rows``, then Q at ``q_rows``."""
         p, q = (np.full(len(rows), KINDS.index(kind)) for kind, rows in ((P, self.p_rows), (Q, self.q_rows)))
         bus = self.network.table.bus_id[np.concatenate([self.p_rows, self.q_rows])]
         meters = make_meters(self.network, np.concatenate([p, q]), bus, np.full(len(bus), NO_BRANCH))
@@ -102,7 +103,7 @@ def build_power_flow_plan(
 def _lay_out(
     network: Network, slack_bus: int, held: Mapping[int, float], method: MethodChoice, vm: np.ndarray
 ) -> TreePaths | str:
-    """The tree to sweep over, or why not.
+    """The tree to sweep over, or, as text, why sweeps are not used.
 
     Raises:
         InvalidInputError: sweeps are asked for and cannot serve.

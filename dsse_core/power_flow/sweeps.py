@@ -55,7 +55,7 @@ def sweep_rows(order, parent, factors, Y, start, start_va, limit, p, q, v, curre
 
 @compiled
 def _meets(parent, Y, v, s, power, limit):
-    """Whether the power into the network of every bus but the root is ``s`` to ``limit``; ``power`` is overwritten."""
+    """True where the power into the network of every bus but the root is ``s`` to ``limit``; overwrites ``power``."""
     for i in range(len(parent)):
         power[i] = scaled(Y[i, 7], v[i].real ** 2 + v[i].imag ** 2)
     for i in range(1, len(parent)):
@@ -70,7 +70,7 @@ def _meets(parent, Y, v, s, power, limit):
 
 @compiled
 def _sweep(parent, factors, s, v, current):
-    """Improve ``v`` in place; the number of sweeps, 0 where MOST_SWEEPS do not suffice; ``current`` is overwritten."""
+    """Improves ``v`` in place; returns the number of sweeps, 0 where they do not converge; overwrites ``current``."""
     n = len(parent)
     for sweep in range(1, MOST_SWEEPS + 1):
         for i in range(n):

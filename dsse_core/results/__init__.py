@@ -1,1 +1,1 @@
-"""What follows from a state: tables of buses, branches, meters and areas, in p.u. and in kV, kW, kvar and A."""
+"""Tables of buses, branches, meters and areas that follow from a state, in p.u. and in kV, kW, kvar and A."""

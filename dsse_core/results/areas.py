@@ -1,4 +1,4 @@
-"""The table of areas: load, generation, losses, and what comes in over the boundaries."""
+"""The table of areas: load, generation, losses, and the powers that come in over the boundaries."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ def make_area_table(
 ) -> Table:
     """One row per area; ``of_run``: the columns OF_A_RUN. Balance: ``generation + import = load + loss``.
 
-    A bus that injects counts as generation with what it injects, the substation too, one that draws as load; P and Q
-    each by itself. ``loss``: of the area's branches with their charging, and of the shunts at its buses. ``import``:
-    what comes from other areas over the boundary buses. An area of which something is not known has nan. ``sigmas``
-    (2, 4, n_area): standard deviations of P and Q of TOTALS, p.u.; nan without them.
+    A bus that injects counts as generation with its injection, the substation too; a bus that draws counts as load. P
+    and Q are sorted each by itself. ``loss``: of the area's branches with their charging, and of the shunts at its
+    buses. ``import``: the power that comes from other areas over the boundary buses. A total is nan where a part of it
+    is not known. ``sigmas`` (2, 4, n_area): standard deviations of P and Q of TOTALS, p.u.; nan without them.
     """
     kw, n, unknown = base_kw(state.network), len(division.names), np.full(len(division.names), np.nan)
     totals = _name_totals(find_totals(state, division) * kw)

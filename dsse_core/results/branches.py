@@ -28,7 +28,7 @@ QUANTITIES = (
 def make_branch_table(network: Network, branches: BranchModel, flows: Flows, sigmas: np.ndarray | None = None) -> Table:
     """One row per branch, those out of service included; they carry nothing.
 
-    Powers and currents are positive into the branch at either end; a loss is what goes in and does not come out,
+    Powers and currents are positive into the branch at either end; a loss is the sum of the powers at both ends,
     charging included. ``loading_percent``: the larger current of the two ends by ``i_max``, or the larger apparent
     power by ``s_max``; nan where neither is known. ``sigmas`` (8, n_branch): standard deviations of ``QUANTITIES``,
     p.u.; nan without them.

@@ -1,4 +1,4 @@
-"""The table of buses: voltages in p.u. and kV, angles in degrees, what each bus injects."""
+"""The table of buses: voltages in p.u. and kV, angles in degrees, injections in kW and kvar."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def make_bus_table(
 ) -> Table:
     """One row per bus. ``vm_pu``, ``va_deg``, ``p_kw``, ``q_kvar`` are those of ``state``, positive into the network.
 
-    ``areas`` (n_bus,): who owns each bus. ``compared``: of COMPARED those known, vm and va (n_bus,), p.u. and rad. The
-    standard deviations are in p.u. and rad, (n_bus,) and, of P and Q, (2, n_bus).
+    ``areas`` (n_bus,): the area that owns each bus. ``compared``: those of COMPARED that are known, vm and va (n_bus,),
+    p.u. and rad. The standard deviations are in p.u. and rad, (n_bus,) and, of P and Q, (2, n_bus).
     """
     network, n = state.network, len(state.vm)
     kv, kw, unknown = base_kv(network), base_kw(network), np.full(n, np.nan)

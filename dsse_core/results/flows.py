@@ -1,4 +1,4 @@
-"""Currents and powers at both ends of every branch, and what every bus injects, from voltages; p.u."""
+"""Currents and powers at both ends of every branch, and injections of all buses, from voltages; p.u."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def build_branch_model(network: Network) -> BranchModel:
 
 @dataclass(frozen=True)
 class Flows:
-    """``i_from``, ``i_to``, ``s_from``, ``s_to``: complex currents and powers into each branch at its two ends, p.u.,
-    (n_branch,); 0 where it is out of service, nan where a voltage is.
+    """Complex currents ``i_from``, ``i_to`` and powers ``s_from``, ``s_to`` into each branch at its two ends, p.u.,
+    (n_branch,); 0 where the branch is out of service, nan where a voltage at its ends is nan.
     """
 
     i_from: np.ndarray
@@ -51,12 +51,12 @@ class Flows:
 
     @property
     def loss(self) -> np.ndarray:
-        """What goes in and does not come out, complex: series losses and charging."""
+        """The sum of the powers at both ends, complex, p.u., (n_branch,): series losses and charging."""
         return np.asarray(self.s_from + self.s_to)
 
 
 def find_flows(branches: BranchModel, v_from: np.ndarray, v_to: np.ndarray) -> Flows:
-    """Of the complex voltages at the two ends of each branch, (n_branch,), p.u."""
+    """The flows at the complex voltages of the two ends of each branch, (n_branch,), p.u."""
     there = branches.in_service
     v_from, v_to = np.where(there, v_from, 0.0), np.where(there, v_to, 0.0)
     i_from = branches.yff * v_from + branches.yft * v_to
@@ -65,13 +65,16 @@ def find_flows(branches: BranchModel, v_from: np.ndarray, v_to: np.ndarray) -> F
 
 
 def find_shunt_powers(network: Network, vm: np.ndarray) -> np.ndarray:
-    """What the shunt of each bus consumes, complex, (n_bus,), p.u.; ``vm`` (n_bus,)."""
+    """The power that the shunt of each bus consumes, complex, (n_bus,), p.u.; ``vm`` (n_bus,)."""
     shunt = network.table.shunt.conj()
     return np.where(shunt == 0, 0.0, shunt * vm**2)
 
 
 def find_injections(network: Network, branches: BranchModel, flows: Flows, vm: np.ndarray) -> np.ndarray:
-    """Generation minus load of each bus, complex, (n_bus,), p.u.: what goes into its branches and its shunt."""
+    """Generation minus load of each bus, complex, (n_bus,), p.u.: the sum of powers into its branches and its shunt.
+
+    Nan where ``vm`` (n_bus,) is.
+    """
     n = len(network.buses)
     s = find_shunt_powers(network, vm)
     for end, power in ((branches.f, flows.s_from), (branches.t, flows.s_to)):

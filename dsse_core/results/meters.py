@@ -1,4 +1,4 @@
-"""The table of meters: what each has read, what the estimate gives instead, and what became of it."""
+"""The table of meters: the reading, the estimate, the residual and the status of each."""
 
 from __future__ import annotations
 
@@ -40,8 +40,9 @@ def make_meter_table(
     """One row per meter, in its ``unit``.
 
     ``values``, ``sigmas``, ``residual_variance`` (n_meas,), p.u. and rad: readings, their standard deviations, and the
-    variances of their residuals; nan where there is none, or none is known. A meter is ``silent`` without reading;
-    ``removed``: ids of those taken out as bad data, with the normalised residual that each had then; ``critical``: ids.
+    variances of their residuals; nan where there is none, or none is known. A meter without reading is ``silent``.
+    ``removed``: ids of the meters taken out as bad data, with the normalised residual that each had then. ``critical``:
+    ids of critical meters.
 
     ``residual``: reading - estimate, ``normalised_residual``: its magnitude by its standard deviation, nan where the
     reading has no redundancy, or is exact.
@@ -76,7 +77,7 @@ def make_meter_table(
 
 
 def _find_rows(ids: Sequence[str], wanted: Collection[str]) -> dict[str, int]:
-    """Where each of ``wanted`` stands in ``ids``, if it does."""
+    """Id -> its position in ``ids``, for each of ``wanted`` that is there."""
     return {meter: row for row, meter in enumerate(ids) if meter in wanted} if wanted else {}
 
 
@@ -91,7 +92,7 @@ def _find_status(
 
 
 def find_unit_sizes(network: Network, meters: Sequence[Meter]) -> np.ndarray:
-    """How many of its unit 1 p.u. or 1 rad of each meter is, (n_meas,)."""
+    """The size of 1 p.u. or 1 rad in the unit of each meter, (n_meas,)."""
     kw = base_kw(network)
     of_unit = {"pu": 1.0, "deg": 180 / np.pi, "kw": kw, "kvar": kw, "a": np.nan}
     kinds, row = number_kinds(meters), network.table.rows.find(read_column(meters, "bus", np.int64))

@@ -34,9 +34,9 @@ TABLES = ("buses", "branches", "meters", "areas")
 
 @dataclass(frozen=True, repr=False)
 class Results:
-    """Tables of one state, all of the same layout whatever it comes from: ``TABLES``.
+    """Tables of one state: ``TABLES``. Their layout is the same for estimates, runs and power flows.
 
-    Those of meters and areas are made when they are first asked for.
+    The tables of meters and areas are made at their first use.
     """
 
     names: ClassVar = TABLES
@@ -63,7 +63,7 @@ class WithTables(ABC):
     @property
     @abstractmethod
     def tables(self) -> Results:
-        """All four."""
+        """All four tables."""
 
     @property
     def buses(self) -> Table:
@@ -88,7 +88,7 @@ class WithTables(ABC):
 
 @dataclass(frozen=True)
 class MeterReadings:
-    """What ``make_meter_table`` shows beside the state; arrays (n_meas,), nan where there is nothing."""
+    """The arguments of ``make_meter_table`` beside the state; arrays (n_meas,), nan where there is no number."""
 
     meters: Sequence[Meter]
     values: np.ndarray
@@ -109,8 +109,9 @@ def results_of_estimate(
 
     Args:
         partition: the areas to add up; the whole network is one area, called "", without it.
-        meters: to be shown, in this order, silent ones included; without them the estimate's and the removed ones.
-        truth: to stand beside the estimate.
+        meters: the meters to show, in this order, silent ones included; by default those of the estimate and the
+            removed ones.
+        truth: a power flow to show beside the estimate.
     """
     result = found.result if isinstance(found, BadDataReport) else found
     state = find_state(result.network, result.vm, result.va)
@@ -125,7 +126,8 @@ def results_of_power_flow(
 ) -> Results:
     """The tables of a power flow: nothing has a standard deviation, and no meter has read anything.
 
-    ``meters``: to be shown with what they would read without error. ``partition``: see ``results_of_estimate``.
+    ``meters``: the meters to show, with their error-free readings as estimate. ``partition``: see
+    ``results_of_estimate``.
     """
     state, nothing = find_state(result.network, result.vm, result.va), np.full(len(meters), np.nan)
     readings = MeterReadings(meters, nothing, nothing, nothing, {}, ())
@@ -172,7 +174,7 @@ def find_division(network: Network, partition: Partition | None) -> Division:
 
 
 def no_deviations(network: Network, division: Division) -> Deviations:
-    """Where none is known."""
+    """The deviations of a state without known ones: all nan."""
     n, m, totals = len(network.buses), len(network.branches), (2, len(TOTALS), len(division.names))
     vm, va, branches, injections = (np.full(shape, np.nan) for shape in (n, n, (8, m), (2, n)))
     return Deviations(vm, va, branches, injections, partial(np.full, totals, np.nan))

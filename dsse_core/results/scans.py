@@ -15,7 +15,7 @@ from dsse_core.results.units import base_kv, wrap_degrees
 
 @dataclass(frozen=True)
 class ScanTables:
-    """``scans``: how each estimate ended; ``buses``: its voltages, nan where there is none."""
+    """The tables. ``scans``: the end of each estimate; ``buses``: its voltages, nan where there is no estimate."""
 
     names: ClassVar = ("scans", "buses")
     scans: Table
@@ -31,9 +31,11 @@ def make_scan_tables(
     undecided: Mapping[int, Sequence[str]],
     bad_data_left: np.ndarray,
 ) -> ScanTables:
-    """``names``: of the rows of ``batch``. (n_row,) each: ``limits`` of J, how many ``readings`` there are, and
-    ``bad_data_left``. ``removed``: row -> ids of the meters taken out; ``undecided``: of those that the readings do not
-    tell from them.
+    """The tables of the scans in ``batch``.
+
+    ``names``: of the rows of ``batch``. (n_row,) each: ``limits`` of J, the number of ``readings``, and
+    ``bad_data_left``. ``removed``: row -> ids of the meters taken out; ``undecided``: row -> ids of the meters that the
+    readings do not tell from those.
     """
     n_row, n = batch.vm.shape
     bus = batch.plan.network.table.bus_id

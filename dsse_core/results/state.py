@@ -44,9 +44,9 @@ def find_state(network: Network, vm: np.ndarray, va: np.ndarray, branches: Branc
 
 @dataclass(frozen=True, repr=False)
 class AreaVoltages:
-    """What an area says of the buses that it sees, in its order: vm p.u., va rad.
+    """The voltages that an area states of the buses that it sees, in its order: vm p.u., va rad.
 
-    ``referenced``: whether the angles count from the substation. If not, flows are known all the same.
+    ``referenced``: whether the angles count from the substation. Flows are known without that, too.
     """
 
     vm: np.ndarray
@@ -60,8 +60,8 @@ class AreaVoltages:
 def join_states(partition: Partition, by_area: Mapping[str, AreaVoltages]) -> GridState:
     """The state that areas have found together; an area that is not in ``by_area`` knows nothing.
 
-    The voltage of a bus is that of its owner, the flow in a branch follows from the voltages of the area that holds it.
-    What a boundary bus injects is the sum of what goes into the branches of all areas there.
+    The voltage of a bus is that of its owner. The flow in a branch follows from the voltages of the area that holds it.
+    The injection of a boundary bus is the sum of the powers into its shunt and the branches of all areas there.
     """
     network = partition.network
     branches, n = build_branch_model(network), len(network.buses)
@@ -82,7 +82,7 @@ def join_states(partition: Partition, by_area: Mapping[str, AreaVoltages]) -> Gr
 
 
 def read_state(state: GridState, meters: Sequence[Meter]) -> np.ndarray:
-    """What perfect ``meters``, which fit the network, would read in this state, p.u. and rad, (n_meas,).
+    """The readings of perfect ``meters``, which fit the network, in this state, p.u. and rad, (n_meas,).
 
     Angles lie in (-pi, pi].
     """

@@ -1,4 +1,4 @@
-"""A table of results: named columns of one length, which nobody can change."""
+"""A table of results: named columns of one length, read-only."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ PHASE = "abc"  # of every row: the network is balanced, in positive sequence
 class Table:
     """Columns by name: ``table.vm_pu`` and ``table["vm_pu"]``. ``len(table)``: the number of rows.
 
-    A column of numbers or truth values is an array of shape (len(table),), read-only; one of text a tuple of str. What
-    is unknown is nan among numbers and "" among texts. Column names end with their unit: ``p_kw``, ``va_deg``.
+    A column of numbers or truth values is an array of shape (len(table),), read-only; a column of texts is a tuple of
+    str. Unknown numbers are nan, unknown texts are "". Column names end with their unit: ``p_kw``, ``va_deg``.
     """
 
     __slots__ = ("_columns", "_title")
@@ -32,10 +32,10 @@ class Table:
     _title: str
 
     def __init__(self, title: str, columns: Mapping[str, np.ndarray | Sequence[str]]) -> None:
-        """``title``: what the rows are, such as "branches"; ``columns``: copied.
+        """Makes a table; ``title``: the name of the rows, such as "branches"; ``columns``: copied.
 
         Raises:
-            ValueError: columns of different lengths, of more than one dimension, or with names that are none.
+            ValueError: columns of different lengths, of more than one dimension, or with impossible names.
         """
         kept = {name: _keep(name, column) for name, column in columns.items()}
         if len({len(column) for column in kept.values()}) > 1:
@@ -90,7 +90,7 @@ class Table:
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        """A notebook shows the table as it shows a frame: all columns, the first rows and the last."""
+        """HTML for notebooks, in the form of a data frame: all columns, the first rows and the last."""
         n, half = len(self), SHOWN_IN_NOTEBOOK // 2
         shown = list(range(n)) if n <= SHOWN_IN_NOTEBOOK else [*range(half), *range(n - half, n)]
         rows = [_html_row("td", k, (_show(column[k]) for column in self._columns.values())) for k in shown]

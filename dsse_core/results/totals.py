@@ -15,7 +15,7 @@ from dsse_core.results.flows import find_shunt_powers
 from dsse_core.results.state import GridState
 
 TOTALS = ("load", "generation", "loss", "import")
-Entries = tuple[np.ndarray, np.ndarray, np.ndarray]  # which total, which branch or bus, and how often it counts
+Entries = tuple[np.ndarray, np.ndarray, np.ndarray]  # row of the total, branch or bus, and its coefficient
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,14 @@ class Division:
 
 
 def whole_network(network: Network, name: str = "") -> Division:
-    """One area."""
+    """The division of ``network`` into a single area, ``name``."""
     return Division((name,), np.zeros(len(network.buses), np.int64), np.zeros(len(network.branches), np.int64))
 
 
 def division_of(partition: Partition) -> Division:
-    """A boundary bus belongs to its owner, a branch to the area that holds it; an open one to that of its from bus."""
+    """The division by ``partition``: buses go to their owners, branches to the areas that hold them, open branches to
+    the owners of their from buses.
+    """
     names = tuple(area.name for area in partition.areas)
     if len(names) == 1:
         return whole_network(partition.network, names[0])
@@ -47,7 +49,7 @@ def division_of(partition: Partition) -> Division:
 
 @dataclass(frozen=True)
 class Shares:
-    """Of what P, or Q, of each total is the sum: powers into branches at their two ends, and into shunts.
+    """Coefficients of P, or Q, of each total as a sum of powers into branches at their two ends, and into shunts.
 
     Rows: TOTALS, each of all areas. ``at_from``, ``at_to`` (4 n_area, n_branch), ``of_shunt`` (4 n_area, n_bus).
     """
@@ -58,8 +60,10 @@ class Shares:
 
 
 def find_shares(state: GridState, division: Division, injection: np.ndarray) -> Shares:
-    """Of P or of Q, whichever the buses' ``injection`` (n_bus,) is: a bus that injects counts as generation, else as
-    load. Where it is nan, both totals of the area are.
+    """The shares of P or of Q, whichever the buses' ``injection`` (n_bus,) is.
+
+    A bus that injects counts as generation, any other bus as load. Where the injection is nan, both totals of the area
+    are.
     """
     n, branches = len(division.names), state.branches
     of_bus, of_branch, bus = division.of_bus, division.of_branch, np.arange(len(injection))
@@ -67,7 +71,7 @@ def find_shares(state: GridState, division: Division, injection: np.ndarray) -> 
     injects = injection > 0
 
     def of_buses(of: np.ndarray, at: np.ndarray) -> Iterator[Entries]:
-        """What goes into branches or shunts ``of``, at buses ``at``, is a part of what these inject."""
+        """Entries of the powers into branches or shunts ``of`` at buses ``at``, as parts of the injections there."""
         drawn, made = ~injects[at], injects[at] | np.isnan(injection[at])
         yield load + of_bus[at[drawn]], of[drawn], np.full(drawn.sum(), -1.0)
         yield generation + of_bus[at[made]], of[made], np.ones(made.sum())
@@ -93,7 +97,7 @@ def _gather(entries: list[Entries], shape: tuple[int, int]) -> sp.csr_array:
 
 
 def find_totals(state: GridState, division: Division, sorted_by: np.ndarray | None = None) -> np.ndarray:
-    """P and Q of TOTALS of each area, p.u., (2, 4, n_area); nan where something of it is not known.
+    """P and Q of TOTALS of each area, p.u., (2, 4, n_area); nan where a part of the total is not known.
 
     ``sorted_by`` (n_bus,): injections by whose signs buses count as generation or load; by default the state's.
     """
@@ -126,6 +130,6 @@ def find_total_gradients(
 
 
 def _by_branch(gradient: np.ndarray) -> sp.csr_array:
-    """(n_branch, 3 n_branch) of the gradients (n_branch, 3)."""
+    """The gradients (n_branch, 3) as a matrix with a block for each branch, (n_branch, 3 n_branch)."""
     n = len(gradient)
     return sp.csr_array((gradient.ravel(), np.arange(3 * n), 3 * np.arange(n + 1)), shape=(n, 3 * n))

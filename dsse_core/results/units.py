@@ -1,4 +1,4 @@
-"""From p.u. and rad to what instruments show: kV between lines, three-phase kW and kvar, A in each line, degrees."""
+"""Units of instruments, from p.u. and rad: kV between lines, three-phase kW and kvar, A in each line, degrees."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from dsse_core.grid.network import Network
 
 
 def base_kw(network: Network) -> float:
-    """What 1 p.u. of power is: kW, kvar or kVA."""
+    """The size of 1 p.u. of power, kW, kvar or kVA."""
     return 1000.0 * network.base_mva
 
 
 def base_kv(network: Network) -> np.ndarray:
-    """What 1 p.u. of voltage is at each bus, kV between lines, shape (n_bus,)."""
+    """The size of 1 p.u. of voltage at each bus, kV between lines, shape (n_bus,)."""
     return network.table.base_kv
 
 
 def base_a(network: Network) -> np.ndarray:
-    """What 1 p.u. of current is at each bus, A, shape (n_bus,)."""
+    """The size of 1 p.u. of current at each bus, A, shape (n_bus,): ``S_base / (sqrt(3) V_base)``."""
     base: np.ndarray = 1000.0 * network.base_mva / (math.sqrt(3.0) * network.table.base_kv)
     return base
 
@@ -32,5 +32,5 @@ def wrap_degrees(va: np.ndarray) -> np.ndarray:
 
 
 def base_current(base_mva: float, base_kv: float) -> float:
-    """What 1 p.u. of current is, A: ``S_base / (sqrt(3) V_base)``."""
+    """The size of 1 p.u. of current, A: ``S_base / (sqrt(3) V_base)``; ``base_mva`` MVA, ``base_kv`` kV."""
     return 1000.0 * base_mva / (math.sqrt(3.0) * base_kv)

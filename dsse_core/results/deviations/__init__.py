@@ -1,1 +1,1 @@
-"""Standard deviations of what follows from an estimate."""
+"""Standard deviations of quantities that follow from an estimate."""

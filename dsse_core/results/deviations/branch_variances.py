@@ -1,10 +1,10 @@
-"""Variances of all that a branch carries, from the covariance of power and voltage at one of its ends.
+"""Variances of powers, currents and losses of a branch, from the covariance of power and voltage at one of its ends.
 
 With the power ``S = p + j q`` into the branch and the voltage ``u`` at end k, o the other end, angles from k:
 
 ``v_o = (conj(S) / u - ykk u) / yko``, ``i_o = yoo conj(S) / (yko u) - det u / yko``, ``s_o = v_o conj(i_o)``.
 
-No term is a difference of large numbers, however short the branch. What follows from voltages at both ends would be.
+No term is a difference of large numbers, however short the branch. With voltages at both ends terms would be.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dsse_core.results.flows import BranchModel
 
 @dataclass(frozen=True)
 class BranchGradients:
-    """Derivatives of what each branch carries by p, q and ln u at one end, shape (n_branch, 3) each.
+    """Derivatives of the quantities of each branch by p, q and ln u at one of its ends, shape (n_branch, 3) each.
 
     ``near``, ``far``: complex powers at that end and at the other; ``i_near``, ``i_far``: magnitudes of currents, nan
     where there is none; ``loss``: complex, near + far.
@@ -33,7 +33,10 @@ class BranchGradients:
 
 
 def find_gradients(branches: BranchModel, at_from: np.ndarray, s: np.ndarray, u: np.ndarray) -> BranchGradients:
-    """``at_from`` (n_branch,): which end; ``s``, ``u``: complex power and magnitude of the voltage there, p.u."""
+    """The gradients by the end that ``at_from`` (n_branch,) names, True for from.
+
+    ``s``, ``u`` (n_branch,): complex power and magnitude of the voltage there, p.u.
+    """
     there = branches.in_service
     yko = np.where(there, np.where(at_from, branches.yft, branches.ytf), 1.0)
     ykk, yoo = (np.where(at_from, y, z) for y, z in ((branches.yff, branches.ytt), (branches.ytt, branches.yff)))

@@ -1,4 +1,4 @@
-"""Standard deviations of what follows from an estimate, by its covariance; chosen by the estimate's back end."""
+"""Standard deviations of quantities that follow from an estimate, by its covariance; chosen by its back end."""
 
 from __future__ import annotations
 
@@ -34,19 +34,21 @@ class Deviations:
 
     @cached_property
     def totals(self) -> np.ndarray:
-        """P, Q of load, generation, loss and import, (2, 4, n_area); found when they are first asked for."""
+        """P, Q of load, generation, loss and import, (2, 4, n_area), p.u.; found at their first use."""
         return self.find_totals()
 
 
 def find_deviations(
     result: EstimationResult, division: Division | None = None, branches: BranchModel | None = None
 ) -> Deviations:
-    """Of all that follows from the estimate, linearised at its state; ``branches``: of its network, if there already.
+    """Standard deviations of all quantities that follow from the estimate, linearised at its state.
 
-    ``division``: the areas of the totals; by default the whole network is one.
+    ``division``: the areas of the totals; by default the whole network is one area. ``branches``: those of its network,
+    if they are built already.
 
-    Radial back end: O(n_bus), and of an area O(its buses and those on the way to the root). Sparse: about the time of
-    one more factorisation with four more unknowns per branch, and eight solutions per area.
+    Time with the radial back end: O(n_bus), and for each area O(its buses and those on the way to the root). With the
+    sparse one: about one more factorisation, of a tableau with four more rows per branch and two per injection without
+    an informative meter, and eight solutions per area.
     """
     state = find_state(result.network, result.vm, result.va, branches)
     division, branches, flows = division or whole_network(result.network), state.branches, state.flows

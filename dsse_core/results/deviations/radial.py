@@ -1,4 +1,5 @@
-"""Covariances of what follows from the state of a tree, from its selected inverse; letters as in ``radial.kernel``.
+"""Covariances of quantities that follow from the state of a tree, from its selected inverse; letters as in
+``radial.kernel``.
 
 Given the multipliers and the voltage of a bus, z = (lam, x), the powers into the branches below it are independent of
 each other: ``f_c = -X_c z`` and a rest with the covariance ``V_c = (D_c^-1)_ff``. So the sum of any of them has the
@@ -39,7 +40,9 @@ class RadialDeviations:
         return covariance
 
     def _at_parent(self, child: np.ndarray) -> np.ndarray:
-        """The same of the branches above the buses ``child`` (k,), by number; of the root's what means nothing."""
+        """Covariance of p, q and ln u at the end above of the branches over the buses ``child`` (k,), by number,
+        (k, 3, 3); numbers without meaning for the root, which has no such branch.
+        """
         found = np.empty((len(child), 3, 3))
         found[:, :2, :2] = self._ff[child]
         found[:, :2, 2] = found[:, 2, :2] = -self._XS[child, 2:, 3]
@@ -79,8 +82,8 @@ class RadialDeviations:
         return found
 
     def _by_branches(self, gradients: BranchGradients, buses: np.ndarray) -> np.ndarray:
-        """Variances, (k, 2), of the sum of what goes into the branches below each of ``buses`` (k,), by number, into
-        that above it and into its shunt.
+        """Variances, (k, 2), of the sum of the powers into the branches below each of ``buses`` (k,), by number, into
+        the branch above it and into its shunt.
         """
         plan, S = self._plan, self._inverse.S[buses]
         place = np.full(len(plan.parent), -1)
@@ -99,8 +102,8 @@ class RadialDeviations:
         return np.asarray(total)
 
     def _at_own_end(self, gradients: BranchGradients, buses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of the powers into the branch above each of ``buses`` (k,), at the bus: variances, (k, 2), and the covariance
-        with z of the bus, (k, 2, 4); 0 at the root.
+        """Variances, (k, 2), of the powers into the branch above each of ``buses`` (k,), at the bus, and their
+        covariance with z of the bus, (k, 2, 4); 0 at the root.
         """
         branch = np.full(len(self._plan.parent), -1)
         branch[self._child] = self._branch

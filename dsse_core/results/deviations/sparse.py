@@ -1,4 +1,4 @@
-"""Covariances of what follows from the state, on sparse matrices: each quantity is a state variable of its own.
+"""Covariances of quantities that follow from the state, on sparse matrices: each is a state variable of its own.
 
 A power y = h(x) joins the tableau as an unknown with the constraint ``H_y dx - dy = 0``. Elimination then finds its
 variance as that of a voltage, and not as a difference of large numbers.
@@ -43,8 +43,8 @@ class SparseDeviations:
         self._rows_from = network.table.f
 
     def of_branches_and_injections(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the branches in service: covariance of P, Q and ln vm at the from end, (n_active, 3, 3); and the variances
-        of P and Q that the buses inject, (2, n_bus); p.u.
+        """Covariance of P, Q and ln vm at the from ends of branches in service, (n_active, 3, 3); and the variances of
+        P and Q that the buses inject, (2, n_bus); p.u.
         """
         n_active, vm = len(self._of_p), self._result.vm[self._rows_from]
         y = self._of_p, self._of_p + n_active, self._of_vm[self._rows_from]
@@ -92,7 +92,7 @@ def _meters_of(network: Network, unmetered: np.ndarray) -> Records[Meter]:
 
 
 def _metered_injections(result: EstimationResult) -> np.ndarray:
-    """Variances of metered injections, ``R - Omega``, (2, n_bus); nan where there is no meter that says much."""
+    """Variances of metered injections, ``R - Omega``, (2, n_bus); nan where there is no informative meter."""
     found = np.full((2, len(result.vm)), np.nan)
     variance = result.sigmas**2 - result.residual_variance
     is_informative = variance >= LEAST_REDUCTION * result.sigmas**2
@@ -104,7 +104,7 @@ def _metered_injections(result: EstimationResult) -> np.ndarray:
 
 
 def _extended_factor(result: EstimationResult, meters: Records[Meter]) -> AugmentedFactor:
-    """The factor of the tableau with what perfect ``meters`` read as further unknowns."""
+    """The factor of the tableau with the readings of perfect ``meters`` as further unknowns."""
     network, n_read = result.network, len(meters)
     model = build_measurement_model(
         network, build_admittance(network), join_meters(network, [result.plan.meters, meters])
