@@ -1,4 +1,4 @@
-"""The way to an MQTT broker, of the source and of the sink. Needs aiomqtt, extra ``mqtt``."""
+"""Connection to an MQTT broker, for the source and for the sink. Needs aiomqtt, extra ``mqtt``."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from dsse_core.files.bounded_file import read_text
 from dsse_core.files.strict_table import Table
 
 TIMEOUT_S = 10.0
-KEEPALIVE_S = 10  # after which a broker that is silent is asked whether it is there
+KEEPALIVE_S = 10  # of silence; then the client pings the broker
 
 
 class BrokerSettings(Table):
-    """Where the broker is, and who we are. ``password_file``: of one line; ``authority``, ``certificate``, ``key``:
-    PEM, with any of which the link is TLS.
+    """Address of the broker and credentials of the gateway there. ``password_file``: of one line. ``authority``,
+    ``certificate``, ``key``: PEM; with ``authority`` or ``certificate`` the link is TLS.
     """
 
     host: str
@@ -45,11 +45,11 @@ class BrokerSettings(Table):
 
 
 def connect(settings: BrokerSettings, **options: Any) -> aiomqtt.Client:
-    """A client that links with the broker when its block begins.
+    """A client that connects to the broker when its block begins.
 
     Raises:
         InvalidInputError: the password file cannot be read.
-        OSError: nor a certificate.
+        OSError: a certificate cannot be read.
     """
     password = read_text(settings.password_file).strip() if settings.password_file else None
     context = None

@@ -1,4 +1,4 @@
-"""The gateway on the bus: its token, what it publishes, and whom it watches; callbacks come on the loop's thread."""
+"""The gateway on the bus: its token, its publications, its subscriptions. Callbacks run on the loop's thread."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from coordinator.gateway.maps.map_file import GatewayMap
 
 log = logging.getLogger(__name__)
 ROLE = "gateway"
-GUARD_S = 0.5  # between two looks for another process of our name
+GUARD_S = 0.5  # between two checks for another process of the gateway's name
 
 
 @dataclass
 class GatewayBus:
-    """``send``: area -> puts a payload on its key. ``announce``: for watchers that do not know our name."""
+    """``send``: area -> puts a payload on its key. ``announce``: tells watchers the gateway's name."""
 
     content: GatewayMap
     incarnation: Incarnation
@@ -45,7 +45,7 @@ class GatewayBus:
     guard: DuplicateGuard
 
     def watch(self, on_area: Callable[[str], None], on_state: Callable[[StateMessage], None] | None) -> None:
-        """Call ``on_area`` with each area of ours that appears, ``on_state`` with each state; in the running loop."""
+        """In the running loop, call ``on_area`` with each area of the map that appears, ``on_state`` with each state."""
         loop, run = asyncio.get_running_loop(), self.content.run
 
         def later(callback: Callable[..., None], *arguments: Any) -> None:
@@ -64,17 +64,17 @@ class GatewayBus:
             if state is not None and on_state is not None:
                 later(on_state, state)
 
-        for area in self.send:  # each by its name: what strangers announce is not even sent here
+        for area in self.send:  # each by its name: tokens of unknown areas are not sent here
             self.session.watch_presence(all_incarnations(run, "area", area), on_token)
         self.session.watch_presence(all_incarnations(run, ROLE, self.content.name), on_own)
         if on_state is not None:
             self.session.subscribe(all_states(run), on_payload)
 
     async def mind_successors(self) -> None:
-        """Announce that we are there, until another process of our name has begun later.
+        """Announce the gateway until a later process of the same name appears.
 
         Raises:
-            ReplacedError: one has; it gets our leave message.
+            ReplacedError: a later process has appeared; the leave message has been sent.
         """
         while True:
             self.announce(b"")
@@ -86,7 +86,7 @@ class GatewayBus:
                 raise
 
     def renew(self) -> None:
-        """Take up the keys that are in the files now."""
+        """Load the keys from their files again."""
         if self.session.interrupt():
             self.guard.forget()
             self.session.resume()
@@ -101,7 +101,7 @@ def join_bus(
     keys: Path | None,
     direct: bool,
 ) -> Iterator[GatewayBus]:
-    """Show the gateway on the bus until the end of the block.
+    """Keep the gateway present on the bus until the end of the block.
 
     Raises:
         InvalidInputError: the keys cannot be used.
@@ -120,7 +120,7 @@ def join_bus(
 
 
 def _state_in(key: str, payload: bytes) -> StateMessage | None:
-    """What the area that ``key`` belongs to says of its state; None for anything else."""
+    """The state message in ``payload``; None where it is another message, or not from the area of ``key``."""
     try:
         message = decode(payload)
     except MessageError:

@@ -1,4 +1,4 @@
-"""``dsse gateway --check``: what a source gives, meter by meter, and what looks wrong with it."""
+"""``dsse gateway --check``: the readings of a source, meter by meter, and the mistakes that they suggest."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NOTHING = "nothing is read"
 
 @dataclass(frozen=True)
 class CheckReport:
-    """``text``: what to print. ``is_sound``: whether nothing looks wrong."""
+    """``text``: the report to print. ``is_sound``: True where nothing looks wrong."""
 
     text: str
     is_sound: bool
@@ -48,7 +48,7 @@ def check_map(content: GatewayMap, duration_s: float) -> CheckReport:
 
 
 def _ignore(_: str) -> None:
-    """The report says it all."""
+    """Log nothing: the report contains every count and error."""
 
 
 async def _read_for(duration_s: float, content: GatewayMap, intake: Intake, link: Link) -> None:
@@ -61,7 +61,7 @@ async def _read_for(duration_s: float, content: GatewayMap, intake: Intake, link
 
 
 def _find_schedule(content: GatewayMap) -> dict[str, Schedule] | None:
-    """Of the meters of the map; None where the scenario's loads have no power flow."""
+    """Meter id -> its schedule, for the meters of the map; None where the scenario's loads have no power flow."""
     try:
         return find_schedule(content.scenario.network, [point.meter for point in content.points.values()])
     except PowerFlowDivergedError:
@@ -75,7 +75,7 @@ def make_report(
     counts: Counts,
     error: str,
 ) -> CheckReport:
-    """``newest``: meter id -> reading; ``error``: why the source cannot be read, empty if it can."""
+    """The report. ``newest``: meter id -> reading. ``error``: the reason that the source cannot be read, else empty."""
     reads = _find_reads(newest, schedule)
     suspects, unexplained = find_suspects(content.scenario.network, content.scenario.meters, reads)
     common = find_common_mistake(content.scenario.network, content.scenario.meters, reads)
@@ -110,14 +110,14 @@ def make_report(
 
 
 def _find_reads(newest: Mapping[str, Reading], schedule: Mapping[str, Schedule] | None) -> dict[str, Read]:
-    """Meter id -> what was read and can be compared; nothing without a schedule."""
+    """Meter id -> its valid reading beside the schedule; empty without a schedule."""
     if schedule is None:
         return {}
     return {meter: Read(found.value, found.sigma, schedule[meter]) for meter, found in newest.items() if found.valid}
 
 
 def _find_unmapped(content: GatewayMap) -> Sequence[str]:
-    """The meters of the scenario that this map does not have."""
+    """The meters of the scenario, virtual ones excepted, that this map does not have."""
     mapped = {point.meter.id for point in content.points.values()}
     return [m.id for m in content.scenario.meters if m.source is not Source.VIRTUAL and m.id not in mapped]
 
@@ -125,7 +125,7 @@ def _find_unmapped(content: GatewayMap) -> Sequence[str]:
 def _format(
     content: GatewayMap, newest: Mapping[str, Reading], schedule: Mapping[str, Schedule], remarks: Mapping[str, str]
 ) -> str:
-    """A row for each meter; of many those with a remark first."""
+    """A table with a row for each meter, MOST_ROWS at most, meters with a remark first."""
     points = sorted(content.points.values(), key=lambda point: not remarks[point.meter.id])
     now = time.time()
     rows = [_row(point, newest.get(point.meter.id), schedule, now) for point in points]

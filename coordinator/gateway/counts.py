@@ -1,4 +1,4 @@
-"""What became of the readings that a source has handed over: counted by reason, with names, and logged now and then."""
+"""Counts of a source's readings: used, superseded, and rejected by reason and address, with occasional log lines."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OLDER, INVALID, DROPPED, MALFORMED = "older than the last", "marked invalid", "d
 
 @dataclass
 class Rejected:
-    """Of one reason: how many, how many of each address (of some), and the last one in words."""
+    """Rejected readings of one reason: their count, counts by address (of MOST_NAMED), and the last one in words."""
 
     count: int = 0
     addresses: Counter[str] = field(default_factory=Counter)
@@ -32,10 +32,11 @@ class Rejected:
 
 @dataclass
 class Counts:
-    """``received`` readings are ``used``, ``superseded`` by newer ones before they could be published, rejected, or
-    still waiting. ``invalid``: those of the used that their source did not vouch for.
+    """Each of the ``received`` readings is ``used``, ``superseded``, rejected, or still waiting.
+    A superseded reading repeats the last one, or a newer reading came before it could be published.
+    ``invalid``: readings that are not rejected and that their source marks as invalid.
 
-    ``warn``: what to do with a reason for the first, 10th, 100th, ... time.
+    ``warn``: called with a sentence when a reason occurs for the first, 10th, 100th, ... time.
     """
 
     received: int = 0
@@ -47,7 +48,7 @@ class Counts:
     warn: Callable[[str], None] = log.warning
 
     def reject(self, reason: str, address: str, detail: str) -> None:
-        """Count one that is not used. A source of one's own may have reasons of its own, but not any number of them."""
+        """Count a reading that is not used. Reasons beyond MOST_REASONS, such as a source may give, count as OTHER."""
         if reason not in self.rejected and len(self.rejected) >= MOST_REASONS:
             reason = OTHER
         found = self.rejected.setdefault(shortened(reason, 80), Rejected())
@@ -59,7 +60,7 @@ class Counts:
             self.warn(f"not used, {reason} ({found.count} so far): {found.last}")
 
     def as_json(self) -> dict[str, Any]:
-        """All of it."""
+        """All counts, by name."""
         return {
             "received": self.received,
             "used": self.used,
@@ -73,7 +74,7 @@ class Counts:
         }
 
     def describe(self) -> str:
-        """In one line."""
+        """The counts in one line."""
         rejected = ", ".join(f"{found.count} {reason}" for reason, found in sorted(self.rejected.items()))
         return (
             f"{self.received} readings received, {self.used} used, {self.superseded} superseded by newer ones, "

@@ -1,4 +1,4 @@
-"""The gateway: a process that publishes what a source reads of meters, and hands results to sinks."""
+"""The gateway: a process that publishes the meter readings of a source and passes results to sinks."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from dsse_core.files.drafts import whole_file
 from dsse_core.reading_rules import allowed_lead_s
 
 log = logging.getLogger(__name__)
-STATUS_S = 1.0  # between two status files, and
-LOG_S = 60.0  # two lines in the log; where something has changed
+STATUS_S = 1.0  # between two updates of the status file, where something has changed
+LOG_S = 60.0  # between two lines in the log, where something has changed
 
 
 def run_gateway(
@@ -43,8 +43,8 @@ def run_gateway(
 ) -> int:
     """Run the gateway of a map until SIGTERM, Ctrl-C or the end of its source; 0, or 2 after a user's mistake.
 
-    3 if another process of this name began later. ``keys``: folder of credentials. ``status_file``: where one line of
-    JSON says now and then what became of the readings. ``direct``: ``endpoints`` are those of all areas.
+    3 if another process of this name began later. ``keys``: folder of credentials. ``status_file``: file with one line
+    of JSON, the counts of the readings, renewed every STATUS_S. ``direct``: ``endpoints`` are those of all areas.
     """
     start_log()
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end
@@ -70,7 +70,7 @@ class _Gateway:
     _status_problem: str = ""
 
     async def serve(self, renews: bool) -> None:
-        """Until a signal, the end of the source, or another process of our name, with which it raises ReplacedError."""
+        """Serve until a signal or the end of the source; ReplacedError where a later process has the gateway's name."""
         content = self.content
         self.intake = Intake(content.points, time.time, allowed_lead_s(content.scenario.run.scan_s))
         publisher = self._make_publisher()
@@ -159,10 +159,10 @@ class _Gateway:
             await sink.make().write(queue)
 
         await keep_on(link, attempt)
-        await asyncio.Event().wait()  # a sink that has enough does not end the gateway
+        await asyncio.Event().wait()  # a sink that returns does not end the gateway
 
     async def _report(self) -> None:
-        """Status file and log."""
+        """Write the status file and the log at their intervals."""
         logged, due = "", 0.0
         while True:
             await asyncio.sleep(STATUS_S)
@@ -194,7 +194,7 @@ class _Gateway:
 
 
 async def read_source(source: SourceOf, intake: Intake, link: Link) -> None:
-    """Read ``source`` into ``intake`` until it has no more; errors make a new beginning."""
+    """Read ``source`` into ``intake`` until the source ends; after an error a new source is made."""
     addresses = tuple(intake.points)
 
     class Noting:
@@ -211,7 +211,7 @@ async def read_source(source: SourceOf, intake: Intake, link: Link) -> None:
 
 
 async def _notify_systemd() -> None:
-    """That the loop goes round: it cannot where a source blocks it."""
+    """Ping the watchdog of systemd as long as the loop runs; a source that blocks the loop stops the pings."""
     watchdog = Watchdog()
     watchdog.ready(time.monotonic())
     while True:

@@ -1,4 +1,4 @@
-"""The intake: what a source hands over becomes the newest reading of each meter, or is counted with its reason."""
+"""The intake: keeps the newest reading of each meter, and counts rejected readings by reason."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from coordinator.gateway.counts import Counts
 from coordinator.gateway.maps.points import Point, number_of
 from dsse_core.printable import printable, shortened
 
-EARLIEST_S = 946_684_800.0  # 2000-01-01: a device that has no clock counts from 1970
+EARLIEST_S = 946_684_800.0  # 2000-01-01; a device without a clock counts from 1970
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What a meter has read: p.u. or rad, and ``time`` in s since 1970 UTC."""
+    """A reading of a meter: ``value`` and ``sigma`` in p.u. or rad, ``time`` in s since 1970 UTC."""
 
     value: float
     sigma: float
@@ -25,10 +25,10 @@ class Reading:
 
 @dataclass
 class Intake:
-    """Takes what a source emits; of each meter the reading with the newest measurement time counts.
+    """Receiver of a source's readings; keeps for each meter the reading with the newest measurement time.
 
-    ``newest``: area -> meter id -> reading; ``waiting``: area -> ids of those that are not published yet.
-    ``ahead_s``: by how much a time may be ahead of ``clock``, s since 1970 UTC.
+    ``newest``: area -> meter id -> reading; ``waiting``: area -> ids of meters whose reading is not published yet.
+    ``ahead_s``: largest lead of a measurement time over ``clock``, s; ``clock`` is in s since 1970 UTC.
     """
 
     points: Mapping[str, Point]
@@ -71,13 +71,13 @@ class Intake:
         self.counts.reject(reason, "", printable(detail))
 
     def take_waiting(self, area: str) -> int:
-        """How many readings of ``area`` are published now for the first time."""
+        """Number of readings of ``area`` published now for the first time; they count as used and wait no longer."""
         count = len(self.waiting.pop(area, ()))
         self.counts.used += count
         return count
 
     def _time_of(self, address: str, time: object, now: float) -> float | None:
-        """When it was measured, as its source states it; None if that cannot be."""
+        """The measurement time that the source states, s since 1970 UTC; None where it is rejected."""
         at = number_of(time)
         if isinstance(at, str) or at < EARLIEST_S:
             self._reject(reasons.BAD_TIME, address, f"time {_shown(time)} is no number of seconds since 1970 UTC")
@@ -91,13 +91,13 @@ class Intake:
         of_area = self.newest.setdefault(point.area, {})
         last = of_area.get(point.meter.id)
         if last is not None and last.time > now + self.ahead_s:
-            last = None  # the clock of this host was set back: what it took for now is the future
+            last = None  # the clock of this host was set back: the last reading lies in the future
         if last is not None and reading.time < last.time:
             age = f"{last.time - reading.time:.3g} s older than the last"
             self._reject(reasons.OLDER, point.address, age)
             return
         if last == reading:
-            self.counts.superseded += 1  # the same once more
+            self.counts.superseded += 1  # the same reading again
             return
         if last is not None and reading.time == last.time and is_stated:
             self._reject(reasons.TWICE, point.address, "has another value of the same time, which is kept")

@@ -1,4 +1,4 @@
-"""What a source of readings and a sink of results are: one small class each, behind an entry point."""
+"""Interfaces of a source of readings and of a sink of results: one small class each, behind an entry point."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, ValidationInfo
 from dsse_core.files.strict_table import Table
 
 Result = Mapping[str, Any]
-"""What an area estimates, as it is written in JSON: ``coordinator/gateway/results.py``."""
+"""An area's estimate as it is written in JSON: ``coordinator/gateway/results.py``."""
 
 
 def _beside_the_map(given: object, info: ValidationInfo) -> object:
@@ -21,31 +21,31 @@ def _beside_the_map(given: object, info: ValidationInfo) -> object:
 
 
 MapPath = Annotated[Path, BeforeValidator(_beside_the_map)]
-"""A path in a map file, from the folder of that file."""
+"""A path in a map file, relative to the folder of that file."""
 
 
 class Emit(Protocol):
-    """Takes what a source reads. Neither call waits, and neither raises an error for what it is given."""
+    """Receiver of a source's readings. Neither call waits, and neither raises an error for its arguments."""
 
     def __call__(
         self, address: str, value: object, time: float | None = None, *, valid: bool = True, unit: str | None = None
     ) -> None:
-        """What ``address`` reads: a number, or whatever the source found in its place, which is counted as wrong.
+        """Take the reading at ``address``: a number, or what the source found in its place, which is counted as wrong.
 
-        ``time``: of the measurement, s since 1970 UTC; None: now. ``valid``: whether the source vouches for it.
-        ``unit``: if the source states one, which must be that of the map.
+        ``time``: of the measurement, s since 1970 UTC; None: now. ``valid``: True where the source vouches for it.
+        ``unit``: the unit that the source states, if any; it must be that of the map.
         """
         ...
 
     def reject(self, reason: str, detail: str) -> None:
-        """Count, under the few words of ``reason``, something that is no reading: a line that cannot be read."""
+        """Count an item that is no reading, such as a malformed line; ``reason``: a few words to count it by."""
         ...
 
 
 class Source(ABC):
-    """Reads meters. ``Settings``: the keys of ``[source]`` in a map file, but ``kind``.
+    """Reads meters. ``Settings``: the keys of ``[source]`` in a map file, except ``kind``.
 
-    It is made anew after every error. ``addresses``: those of the map, each once.
+    The gateway makes a new source after every error. ``addresses``: those of the map, each once.
     """
 
     Settings: ClassVar[type[Table]] = Table
@@ -56,19 +56,19 @@ class Source(ABC):
 
     @classmethod
     def find_address_problem(cls, address: str) -> str:
-        """Why ``address`` can be none of this source, and what one looks like; empty if it can."""
+        """The form of this source's addresses, where ``address`` does not have it; empty if it has."""
         return ""
 
     @abstractmethod
     async def read(self, emit: Emit) -> None:
-        """Connect, and hand over what is read until there is no more.
+        """Connect, and emit readings until the source ends.
 
-        Whatever it raises is named, and it is called again after a pause that grows from 0.1 to 10 s.
+        The gateway logs an error raised here and makes a new source after a pause that grows from 0.1 to 10 s.
         """
 
 
 class Sink(ABC):
-    """Takes results. ``Settings``: the keys of a ``[[results]]`` in a map file, but ``kind``."""
+    """Takes results. ``Settings``: the keys of a ``[[results]]`` in a map file, except ``kind``."""
 
     Settings: ClassVar[type[Table]] = Table
 
@@ -77,7 +77,7 @@ class Sink(ABC):
 
     @abstractmethod
     async def write(self, results: AsyncIterator[Result]) -> None:
-        """Connect, and write ``results``, of each area the newest, for ever.
+        """Connect, and write ``results``, the newest of each area, without end.
 
-        Whatever it raises is named, and it is called again after a pause that grows from 0.1 to 10 s.
+        The gateway logs an error raised here and makes a new sink after a pause that grows from 0.1 to 10 s.
         """

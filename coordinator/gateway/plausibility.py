@@ -1,4 +1,4 @@
-"""Whether readings fit together: which sign or unit of a map looks wrong, by balances of power and by the schedule."""
+"""Test of a map's signs and units, by balances of power and by comparison with the schedule."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 KIND = MeasurementKind
 POWERS = ((KIND.P_INJECTION, KIND.P_FLOW, "P"), (KIND.Q_INJECTION, KIND.Q_FLOW, "Q"))
-SHARE = 0.05  # of the largest power of a balance, which it may miss by losses that differ from those of the schedule
+SHARE = 0.05  # of a balance's largest power: allowed error, for losses that differ from the schedule's
 SIGMAS = 5.0
-LIKE_SCHEDULE = 5.0  # a load is at most so many times that of the schedule, and at least so small a part
-LIKE_THOUSAND = 3.0  # and a thousand times it, within this factor
+LIKE_SCHEDULE = 5.0  # largest ratio of a load to the schedule's, and of the schedule's to the load
+LIKE_THOUSAND = 3.0  # a unit mistake: a thousand times the schedule, within this factor
 LOWEST_VM, HIGHEST_VM = 0.8, 1.2  # p.u.
 MOST_ANGLE = 0.5  # rad from the schedule
-PUSHING = 0.1  # of what the loads cause, what sources cause in the other direction
-SIGNIFICANT = 0.02  # of the largest power of its kind: what is smaller may have any sign
+PUSHING = 0.1  # least ratio of the power that sources cause to the opposite power that loads cause
+SIGNIFICANT = 0.02  # of the largest power of its kind; a smaller power may have any sign
 
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """What a meter reads under the loads and sources of the network, p.u. or rad.
+    """Value of a meter under the loads and sources of the network, p.u. or rad.
 
-    ``can_turn``: with other loads it may have the other sign, as sources push against them there.
+    ``can_turn``: True where other loads may reverse the sign, as sources there feed against the loads.
     """
 
     value: float
@@ -41,7 +41,7 @@ class Schedule:
 
 @dataclass(frozen=True, slots=True)
 class Read:
-    """What a meter reads, with its standard deviation, p.u. or rad, and what the schedule has."""
+    """A meter's reading and its standard deviation, p.u. or rad, and its schedule."""
 
     value: float
     sigma: float
@@ -53,7 +53,7 @@ class Read:
 
 
 def find_schedule(network: Network, meters: Sequence[Meter]) -> dict[str, Schedule]:
-    """Meter id -> what it reads under the schedule.
+    """Meter id -> its value under the schedule.
 
     Raises:
         PowerFlowDivergedError: the network's loads have no power flow.
@@ -78,8 +78,9 @@ class Balance:
     terms: tuple[tuple[str, int], ...]
 
     def find_excess(self, reads: Mapping[str, Read], changed: str = "", factor: float = 1.0) -> float:
-        """By how much more than it may the balance is missed, p.u., if meter ``changed`` read ``factor`` times that;
-        not positive where it holds.
+        """Error of the balance beyond the allowed one, p.u.; not positive where the balance holds.
+
+        The reading of meter ``changed`` counts ``factor`` times.
         """
         missed, largest, variance = 0.0, 0.0, 0.0
         for meter, sign in self.terms:
@@ -92,7 +93,7 @@ class Balance:
 
 
 def find_balances(network: Network, meters: Sequence[Meter], read: Iterable[str]) -> Iterator[Balance]:
-    """The balances all of whose meters are ``read``: of each bus, and between the two ends of each branch."""
+    """The balances of each bus and of the two ends of each branch, where all their meters are ``read``."""
     known = set(read)
     virtual = {(meter.kind, meter.bus) for meter in meters if meter.source is Source.VIRTUAL}
     for injection, flow, letter in POWERS:
@@ -117,9 +118,9 @@ def find_balances(network: Network, meters: Sequence[Meter], read: Iterable[str]
 def find_suspects(
     network: Network, meters: Sequence[Meter], reads: Mapping[str, Read]
 ) -> tuple[dict[str, str], list[str]]:
-    """Meter id -> what looks wrong with it, in words; and the balances that no single mistake explains.
+    """Meter id -> its likely mistake in words, and the places of balances that no single mistake explains.
 
-    ``meters``: of the scenario; ``reads``: meter id -> what was read.
+    ``meters``: of the scenario. ``reads``: meter id -> its reading.
     """
     balances = list(find_balances(network, meters, reads))
     suspects, unexplained, corrected = _explain(balances, reads)
@@ -136,9 +137,9 @@ def find_suspects(
 
 
 def find_common_mistake(network: Network, meters: Sequence[Meter], reads: Mapping[str, Read]) -> str:
-    """What looks wrong with all powers that were read, in words; empty if nothing does. For the arguments see above.
+    """The mistake that all powers have in common, in words; empty if there is none. Arguments as ``find_suspects``.
 
-    It is the test of an area (``dsse_core/exchange/gateway_mistakes.py``), in an area that is the whole network.
+    This is an area's test of its gateways (``dsse_core/exchange/gateway_mistakes.py``), with the network as area.
     """
     if network.slack is None:
         return ""
@@ -154,7 +155,9 @@ def find_common_mistake(network: Network, meters: Sequence[Meter], reads: Mappin
 def _explain(
     balances: Sequence[Balance], reads: Mapping[str, Read]
 ) -> tuple[dict[str, str], list[str], dict[str, Read]]:
-    """Suspects by balances, those left unexplained, and the readings with mistakes corrected, the likeliest first."""
+    """Meter id -> its mistake by balances, places of unexplained balances, and the readings with mistakes corrected.
+
+    The likeliest mistake is corrected first, then the balances are tested again."""
     now = dict(reads)
     of_meter: dict[str, list[Balance]] = {}
     for balance in balances:
@@ -191,7 +194,9 @@ def _explain(
 
 
 def _gain(balances: Sequence[Balance], reads: Mapping[str, Read], meter: str, factor: float) -> float:
-    """How many more of the meter's balances hold without the mistake; half a one more if the schedule says so."""
+    """Gain in balances of the meter that hold with its reading times ``factor``; 0.5 more if the schedule agrees.
+
+    0 where no more balances hold than before."""
     held = sum(balance.find_excess(reads) <= 0 for balance in balances)
     holding = sum(balance.find_excess(reads, meter, factor) <= 0 for balance in balances)
     read = reads[meter]
@@ -202,7 +207,7 @@ def _gain(balances: Sequence[Balance], reads: Mapping[str, Read], meter: str, fa
 
 
 def _find_confirmed(balances: Iterable[Balance], reads: Mapping[str, Read]) -> set[str]:
-    """The meters whose sign a balance confirms: it holds, and would not with the other one."""
+    """The meters whose sign a balance confirms: the balance holds, and fails with the opposite sign."""
     return {
         meter
         for balance in balances
@@ -213,12 +218,12 @@ def _find_confirmed(balances: Iterable[Balance], reads: Mapping[str, Read]) -> s
 
 
 def _is_like(value: float, expected: float) -> bool:
-    """Whether a power may be that of the schedule on another day."""
+    """True where ``value`` has the sign of the schedule and its size within a factor of LIKE_SCHEDULE."""
     return expected != 0 and 1 / LIKE_SCHEDULE <= value / expected <= LIKE_SCHEDULE
 
 
 def _compare(kind: MeasurementKind, read: Read, least: float, is_confirmed: bool) -> str:
-    """What looks wrong with a reading beside the schedule; empty if nothing does."""
+    """Likely mistake of a reading by comparison with the schedule, in words; empty if there is none."""
     if kind is KIND.VM:
         return _compare_voltage(read.value)
     if kind is KIND.VA:
@@ -237,7 +242,7 @@ def _compare(kind: MeasurementKind, read: Read, least: float, is_confirmed: bool
 
 def _compare_voltage(vm: float) -> str:
     if vm == 0 or LOWEST_VM <= vm <= HIGHEST_VM:
-        return ""  # a dead voltmeter reads 0, and is seen as such
+        return ""  # a dead voltmeter reads 0, which is no mistake of the map
     known = {
         1 / math.sqrt(3): "line to neutral? then factor = 1.732",
         1e3: "V in place of kV?",

@@ -1,4 +1,4 @@
-"""The publisher: the newest readings of each area as one message, soon after they change and again now and then."""
+"""The publisher: sends the newest readings of each area as one message, soon after a change, and repeats it."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from dataclasses import dataclass, field, replace
 from agents.messages.packing import Header, Incarnation, TelemetryMessage, encode
 from coordinator.gateway.intake import Intake
 
-REPEATS_S = (1.0, 10.0)  # after a change, and then for ever: what the bus had no room for, an area gets by this
-RATE = 16 * 2**20  # bytes per second for one area: what a message is larger, the next one is later
+REPEATS_S = (1.0, 10.0)  # after a change, and then always: a repeat replaces a message that the bus has dropped
+RATE = 16 * 2**20  # bytes per second for one area: a larger message delays the next one
 
 
 @dataclass
 class Publisher:
-    """Publishes, at most one message of an area in ``least_interval_s``, what ``intake`` has of it: a snapshot.
+    """Publishes all that ``intake`` has of an area as one message, after a change and at ``repeats_s``.
 
-    A flood of readings makes no flood of messages: those in between are superseded. ``send``: area -> puts a payload
-    on its key. ``scan_s``: interval of scans, None where there are none.
+    A change waits until ``least_interval_s`` has passed since the last message; readings in between are superseded.
+    ``send``: area -> puts a payload on its key. ``scan_s``: interval of scans, None where there are none.
     """
 
     run: str
@@ -35,28 +35,28 @@ class Publisher:
     _of_area: dict[str, int] = field(default_factory=dict)  # area -> number of its newest content
     _timers: dict[str, asyncio.TimerHandle] = field(default_factory=dict)
     _repeats: dict[str, asyncio.TimerHandle] = field(default_factory=dict)
-    _allowed: dict[str, float] = field(default_factory=dict)  # area -> when the next message may go
+    _allowed: dict[str, float] = field(default_factory=dict)  # area -> earliest time of its next message, s
 
     def start(self) -> None:
-        """In a running loop."""
+        """Begin to publish, in the running loop."""
         self._loop = asyncio.get_running_loop()
         self.intake.on_reading = self.publish_soon
 
     def publish_soon(self, area: str) -> None:
-        """As soon as the interval is over; what comes until then goes with it."""
+        """Publish ``area`` as soon as the interval is over, with all readings that arrive until then."""
         if area not in self._timers and area in self.send:
             wait_s = self._allowed.get(area, 0.0) - self._loop.time()
             self._timers[area] = self._loop.call_later(max(0.0, wait_s), self._publish, area, 0)
 
     def finish(self) -> None:
-        """Publish what waits, and nothing any more."""
+        """Publish the changes that wait, and stop all timers."""
         for timer in (*self._timers.values(), *self._repeats.values()):
             timer.cancel()
         for area in list(self._timers):
             self._publish(area, None)
 
     def _publish(self, area: str, repeats: int | None) -> None:
-        """``repeats``: of ``repeats_s`` the one that follows; None: none."""
+        """Send the message of ``area``; ``repeats``: index in ``repeats_s`` of the wait for its repeat, None: no repeat."""
         self._timers.pop(area, None)
         if (last := self._repeats.pop(area, None)) is not None:
             last.cancel()
@@ -74,7 +74,7 @@ class Publisher:
             self._repeats[area] = self._loop.call_later(self.repeats_s[repeats], self._publish, area, following)
 
     def message(self, area: str) -> TelemetryMessage:
-        """All that is known of ``area``, with the time of now."""
+        """The message with all readings of ``area``, stamped with the current time."""
         readings = self.intake.newest.get(area, {})
         now = time.time()
         number = self._of_area.get(area, 0)
@@ -99,8 +99,10 @@ class Publisher:
 
 @dataclass
 class LeadingPublisher(Publisher):
-    """Of the gateway that numbers scans: at each multiple of ``scan_s`` in UTC all areas get what there is then, under
-    the number of the scan, and the same again at each interval of ``repeats_s`` until the next.
+    """Publisher of the gateway that numbers scans.
+
+    At each multiple of ``scan_s`` in UTC it sends all areas a snapshot of their readings under the number of the scan.
+    It repeats this snapshot every ``repeats_s[0]`` until the next scan.
     """
 
     _scan: int = 0
@@ -111,7 +113,7 @@ class LeadingPublisher(Publisher):
         self._begin_scan()
 
     def publish_soon(self, area: str) -> None:
-        """What has been sent in this scan, to an area that has just appeared."""
+        """Send the snapshot of this scan again, to an area that has just appeared."""
         if area in self._messages:
             self._publish(area, None)
 

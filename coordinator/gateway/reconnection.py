@@ -1,4 +1,4 @@
-"""Doing again what has failed: after a pause that grows, with each error named once until it changes."""
+"""Reconnection of sources and sinks: retries after a pause that grows, with each error logged once until it changes."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from dsse_core.printable import printable, shortened
 log = logging.getLogger(__name__)
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 10.0
 LONGEST_ERROR = 500  # characters
-MOST_ERRORS = 50  # that are counted by themselves
+MOST_ERRORS = 50  # that are counted separately
 
 
 @dataclass
 class Link:
-    """What a source or sink is linked with. ``failures``: how often it has failed; ``error``: why last, empty while it
-    works. ``warn``: what to do with a sentence about that. ``clock``: monotonic, s.
+    """Link of a source or sink. ``failures``: their number; ``error``: the last one, empty while the link works.
+    ``warn``: called with a sentence about a failure. ``clock``: monotonic, s.
 
-    What works for less than ``LONGEST_PAUSE_S`` has not worked: of a link that comes and goes the 1st, 10th, 100th, ...
-    failure is logged, and the pauses grow.
+    A link counts as working after ``LONGEST_PAUSE_S``. Of a link that fails again before that, the 1st, 10th, 100th,
+    ... failure is logged, and the pauses grow.
     """
 
     name: str
@@ -34,11 +34,11 @@ class Link:
     warn: Callable[[str], None] = log.warning
     clock: Callable[[], float] = time.monotonic
     _came_at: float = -math.inf  # when it began to work
-    _gone: Counter[str] = field(default_factory=Counter)  # error -> how often it ended what had not worked for long
+    _gone: Counter[str] = field(default_factory=Counter)  # error -> number of times, since the link has last worked
     _is_logged: bool = False
 
     def note_success(self) -> None:
-        """Something has come or gone through."""
+        """Note that a reading or result has passed the link."""
         if self.error:
             if self._is_logged:
                 self.warn(f"{self.name} works again")
@@ -47,7 +47,7 @@ class Link:
 
     @property
     def has_worked(self) -> bool:
-        """Whether it works, and has for long enough to be relied on."""
+        """True where the link has worked for ``LONGEST_PAUSE_S``."""
         return not self.error and self.clock() - self._came_at >= LONGEST_PAUSE_S
 
     def note_failure(self, error: BaseException) -> None:
@@ -65,8 +65,9 @@ class Link:
 
 
 async def keep_on(link: Link, attempt: Callable[[], Awaitable[None]]) -> None:
-    """Await ``attempt()`` until it returns. After an error it is called again; where ``link`` has worked in
-    between, the pause is short again.
+    """Await ``attempt()`` until it returns; after an error, call it again after a pause that doubles each time.
+
+    The pause begins at ``FIRST_PAUSE_S`` again once ``link`` has worked.
     """
     pause_s = FIRST_PAUSE_S
     while True:
@@ -82,7 +83,7 @@ async def keep_on(link: Link, attempt: Callable[[], Awaitable[None]]) -> None:
 
 
 def describe_error(error: BaseException) -> str:
-    """In a line; of several at once the first."""
+    """The error in one line; of a group, its first error."""
     while isinstance(error, BaseExceptionGroup):
         error = error.exceptions[0]
     text = str(error) or (str(error.__cause__) if error.__cause__ else "")

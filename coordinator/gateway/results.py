@@ -1,4 +1,4 @@
-"""What areas publish as results in the units of engineers, and their way to a sink: of each area the newest."""
+"""Results of areas in the units of engineers, and the queue of each area's newest result for a sink."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ BRANCH_COLUMNS = (
 
 
 def make_result(areas: Mapping[str, Area], state: StateMessage) -> Result:
-    """What ``state`` says of its area: quality and its reasons, ages, voltages in kV, flows in kW, kvar and A.
+    """The result in ``state``: quality and its reasons, ages, voltages in kV, flows in kW, kvar and A.
 
-    ``problem``: why there are no buses and branches; empty if there are.
+    Key ``problem``: the reason that there are no buses and branches; empty if there are.
     """
     header = state.header
     result: dict[str, Any] = {
@@ -67,9 +67,9 @@ def make_result(areas: Mapping[str, Area], state: StateMessage) -> Result:
 
 @dataclass
 class ResultQueue(AsyncIterator[Result]):
-    """States that wait for a sink, of each area the newest: one that is slow gets fewer, and the bus never waits.
+    """Queue of states for a sink, the newest of each area. A slow sink gets fewer states; the bus never waits.
 
-    ``superseded``: how many it never got. ``on_written``: called when a sink asks for the next one.
+    ``superseded``: number of states that the sink never got. ``on_written``: called when a state has been written.
     """
 
     areas: Mapping[str, Area]
@@ -87,13 +87,13 @@ class ResultQueue(AsyncIterator[Result]):
         self._is_there.set()
 
     def begin(self) -> None:
-        """For a sink that begins anew: what it had in hand comes again, unless there is something newer."""
+        """Queue the state that the last sink had in hand again, unless its area has a newer one."""
         if (state := self._at_sink) is not None:
             self._waiting.setdefault(state.header.sender, state)
             self._at_sink = None
 
     async def __anext__(self) -> Result:
-        if self._at_sink is not None:  # it is written, else the sink would not ask for another
+        if self._at_sink is not None:  # written, as the sink asks for the next one
             self._at_sink = None
             self.written += 1
             self.on_written()

@@ -1,1 +1,1 @@
-"""A gateway's map: which address of a source is which meter, in which unit; and the sources and sinks it may name."""
+"""A gateway's map: meter and unit of each address of a source, and the sources and sinks that a map may name."""

@@ -1,4 +1,4 @@
-"""The sources and sinks that are installed: entry points of ``dsse.sources`` and ``dsse.sinks``, ours among them."""
+"""The installed sources and sinks: entry points of ``dsse.sources`` and ``dsse.sinks``, the shipped ones included."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ Part = TypeVar("Part", bound=Source | Sink)
 
 
 def load_source(table: Mapping[str, Any], folder: Path) -> tuple[type[Source], Table]:
-    """The class that ``[source]`` names and its settings; ``folder``: from where paths in it count.
+    """The class that ``[source]`` names and its settings; ``folder``: the folder that its paths are relative to.
 
     Raises:
-        InvalidInputError: ``kind`` is none that is installed, or its class cannot be used, or the settings have
-            problems: every one of them with its key.
+        InvalidInputError: ``kind`` is not installed, its class cannot be used, or the settings have problems; each
+            problem is named with its key.
     """
     return _load(Source, SOURCES, table, "source", folder)  # type: ignore[type-abstract]
 
 
 def load_sink(table: Mapping[str, Any], place: str, folder: Path) -> tuple[type[Sink], Table]:
-    """The same of a ``[[results]]`` at key path ``place``."""
+    """The class that a ``[[results]]`` at key path ``place`` names and its settings; otherwise as ``load_source``."""
     return _load(Sink, SINKS, table, place, folder)  # type: ignore[type-abstract]
 
 

@@ -1,4 +1,4 @@
-"""A gateway's map: which address of the source is which meter, checked as a whole against the scenario."""
+"""A gateway's map: the meter behind each address of the source, checked as a whole against the scenario."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class SinkOf:
 
 @dataclass(frozen=True, repr=False)
 class GatewayMap:
-    """A checked map; ``points``: address -> what is there. ``source``: None where only results go out."""
+    """A checked map; ``points``: address -> the meter there and its unit. ``source``: None in a map of results only."""
 
     path: Path
     name: str
@@ -65,12 +65,12 @@ class GatewayMap:
 
     @property
     def leads(self) -> bool:
-        """Whether this gateway numbers the scans of all areas."""
+        """True where this gateway numbers the scans of all areas."""
         return _leads(self.name, self.scenario)
 
     @property
     def areas(self) -> tuple[str, ...]:
-        """Those to which it has something to say, in scenario order: that have a meter here, or all if it leads."""
+        """The areas that get messages, in scenario order: those with a meter in the map; all if the gateway leads."""
         used = {point.area for point in self.points.values()}
         return tuple(area.name for area in self.scenario.partition.areas if area.name in used or self.leads)
 
@@ -79,9 +79,8 @@ def load_map(path: Path) -> GatewayMap:
     """Read and check a map file.
 
     Raises:
-        InvalidInputError: every problem of the file: of its keys and types, of the scenario, and of what it says about
-            addresses, meters, units, the source and the results. Only what rests on a part that is wrong itself, as
-            the meters on the scenario, must wait.
+        InvalidInputError: every problem of the file: keys and types, scenario, addresses, meters, units, source and
+            results. A part that depends on a wrong one, as the meters on the scenario, is not checked.
     """
     head = load_partly(path, MapFile)
     file, problems = head.table, [*head.problems, *head.table.find_problems(head.wrong)]
@@ -113,7 +112,7 @@ def load_map(path: Path) -> GatewayMap:
 
 @contextmanager
 def _noted(problems: list[str], place: str = "") -> Iterator[None]:
-    """Add those of an error to ``problems``, and go on."""
+    """Add the problems of an InvalidInputError to ``problems``, and continue after the block."""
     try:
         yield
     except InvalidInputError as error:
@@ -126,7 +125,7 @@ def _leads(name: str, scenario: Scenario) -> bool:
 
 
 def _load_scenario_of(file: MapFile, path: Path) -> Scenario:
-    """A name is that of a shipped scenario; what looks like a path counts from the folder of the map."""
+    """The scenario that ``file`` names: a shipped one, or the file at a path relative to the folder of the map."""
     is_path = file.scenario.endswith((".toml", ".json")) or "/" in file.scenario
     try:
         return load_scenario(path.parent / file.scenario if is_path else file.scenario)
@@ -142,13 +141,13 @@ def _make_points(
     source: type[Source] | None,
     problems: list[str],
 ) -> dict[str, Point]:
-    """Address -> its point; every problem is added to ``problems``. Without ``scenario`` there are no points, and
-    without the gateway's ``name`` nobody knows whose the meters are.
+    """Address -> its point; every problem is added to ``problems``. Without ``scenario`` there are no points.
+    Without the gateway's ``name`` the meters are not checked against the scenario's gateways.
     """
     meters = {meter.id: meter for meter in scenario.meters} if scenario else {}
     close = Suggestions(list(meters))
     points: dict[str, Point] = {}
-    first_of: dict[tuple[str, str], int] = {}  # key and what it says -> the first table that says it
+    first_of: dict[tuple[str, str], int] = {}  # (key, value) -> number of the first table with it
     for number, content in enumerate(tables, start=1):
         place, fitted = f"reading[{number}]", fit_partly(ReadingTable, content)
         table, wrong = fitted.table, fitted.wrong
@@ -175,7 +174,7 @@ def _make_points(
 
 
 def _find_foreign(name: str, meter: Meter, area: str, scenario: Scenario) -> Iterator[str]:
-    """That the scenario gives a meter to other gateways."""
+    """A problem where the scenario assigns ``meter`` to other gateways."""
     own = scenario.reading_rules[area].meters_of(name) if name else "all"
     if own != "all" and meter.id not in own:
         yield (

@@ -32,7 +32,7 @@ class ReadingTable(Table):
     highest: float | None = Field(default=None, description="in the unit; above, a reading is out of range")
 
     def find_problems(self, wrong: frozenset[str]) -> Iterator[str]:
-        """What keys say that does not go together; of ``wrong`` ones nothing is known."""
+        """Problems of values and of their combinations; the values of ``wrong`` keys are not known."""
         if self.factor == 0.0:
             yield "factor is 0; every reading would be the offset"
         if self.sigma_percent is not None and self.sigma is None and "sigma" not in wrong:
@@ -42,8 +42,10 @@ class ReadingTable(Table):
 
 
 class MapFile(FileTable):
-    """All of a map file; ``source`` and ``results`` are checked by their classes, ``reading`` one by one: what is wrong
-    with one part does not hide what is wrong with another.
+    """The content of a map file.
+
+    The classes of ``source`` and ``results`` check these tables, and each ``reading`` is checked by itself. So a problem
+    of one part does not hide those of another.
     """
 
     kind: ClassVar[FileKind] = GATEWAY_MAP
@@ -58,7 +60,7 @@ class MapFile(FileTable):
     results: list[dict[str, Any]] = Field(default_factory=list)
 
     def find_problems(self, wrong: frozenset[str]) -> Iterator[str]:
-        """What keys say that does not go together; of ``wrong`` ones nothing is known."""
+        """Problems of values and of their combinations; the values of ``wrong`` keys are not known."""
         if "name" not in wrong and not NAME.fullmatch(self.name):
             yield f"name {self.name!r:.80}: a name is of a-z, 0-9, _ and -, 64 at most; choose another"
         if not wrong & {"source", "reading"} and (self.source is None) != (not self.reading):

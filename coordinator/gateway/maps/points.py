@@ -1,4 +1,4 @@
-"""A point: the meter behind an address of a source, and how what is found there becomes a reading in p.u. or rad."""
+"""A point: the meter behind an address of a source, and the conversion of raw values to readings in p.u. or rad."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class Deviation:
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """The ``meter`` of ``area`` at ``address``. It reads ``sign (factor raw + offset)`` in ``unit``, of which one is
-    ``size`` in p.u. or rad; ``lowest``, ``highest``: in p.u. or rad, outside of which a reading is none.
+    """The ``meter`` of ``area`` at ``address``. It reads ``sign (factor raw + offset)`` in ``unit``.
+    ``size``: one ``unit`` in p.u. or rad. ``lowest``, ``highest``: p.u. or rad; a value beyond them is no reading.
     """
 
     address: str
@@ -45,16 +45,16 @@ class Point:
     highest: float
 
     def value_of(self, raw: float) -> float:
-        """In p.u. or rad."""
+        """The reading of a raw value, p.u. or rad."""
         return (self.factor * raw + self.offset) * self.size
 
     def is_in_range(self, value: float) -> bool:
-        """Whether the meter can read ``value``, p.u. or rad."""
+        """True where the meter can read ``value``, p.u. or rad."""
         return self.lowest <= value <= self.highest
 
 
 def make_point(table: ReadingTable, meter: Meter, area: str, scenario: Scenario) -> Point:
-    """The point of a ``[[reading]]`` without problems; the scenario's sigma is for one that states none."""
+    """The point of a ``[[reading]]`` without problems; one without a sigma gets that of the scenario."""
     size = size_of(table.unit, meter, scenario.network)
     lowest, highest = physical_range(meter, scenario.network)
     allowed = scenario.reading_rules[area].rule_of(meter.kind)
@@ -81,7 +81,7 @@ def make_point(table: ReadingTable, meter: Meter, area: str, scenario: Scenario)
 def find_point_problems(
     table: ReadingTable, wrong: frozenset[str], meter: Meter, network: Network, rule: SigmaRule
 ) -> Iterator[str]:
-    """Every way in which a ``[[reading]]`` does not fit its meter, as text; of its ``wrong`` keys nothing is known."""
+    """The problems of a ``[[reading]]`` with its meter, as texts; the values of its ``wrong`` keys are not known."""
     if "unit" in wrong:
         return
     allowed = units_of(meter.kind)
@@ -114,7 +114,7 @@ def _deviation_of(table: ReadingTable, meter: Meter, size: float, rule: SigmaRul
 
 
 def number_of(raw: object) -> float | str:
-    """``raw`` as a finite number; or the few words under which it is counted that it is none."""
+    """``raw`` as a finite number; otherwise the reason under which it is counted as rejected."""
     if isinstance(raw, bool) or not isinstance(raw, (int, float)):
         return BAD_TYPE
     try:

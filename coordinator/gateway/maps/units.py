@@ -1,4 +1,4 @@
-"""The units of a gateway's map: of which kinds of meter each is, and what one is in p.u. or rad."""
+"""The units of a gateway's map: the kinds of meter of each, and its size in p.u. or rad."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def units_of(kind: MeasurementKind) -> tuple[str, ...]:
 
 
 def size_of(unit: str, meter: Meter, network: Network) -> float:
-    """What one ``unit`` of ``meter`` is, p.u. or rad."""
+    """Size of one ``unit`` of ``meter``, p.u. or rad."""
     if unit == RADIAN:
         return 1.0
     basic, times = WRITTEN_AS[unit]
@@ -41,7 +41,7 @@ def size_of(unit: str, meter: Meter, network: Network) -> float:
 
 
 def physical_range(meter: Meter, network: Network) -> tuple[float, float]:
-    """Between what a meter of this kind can read at all, p.u. or rad."""
+    """The least and the largest value that a meter of this kind can read, p.u. or rad."""
     limits, size = RANGES[meter.kind]
     of_one = network.base_mva if size is None else size
     return limits.least / of_one, limits.most / of_one

@@ -12,13 +12,13 @@ from dsse_core.files.strict_table import Table
 
 
 class JsonLinesSettings(Table):
-    """Of ``[[results]]``. ``path``: a file to append to, in place of standard output."""
+    """Keys of ``[[results]]``. ``path``: a file to append to, in place of standard output."""
 
     path: MapPath | None = None
 
 
 class JsonLinesSink(Sink):
-    """Writes each result as soon as it is there. Standard output may be a pipe that nobody empties: a thread waits."""
+    """Writes each result at once. A thread writes to standard output, since a full pipe blocks the writer."""
 
     Settings = JsonLinesSettings
     settings: JsonLinesSettings

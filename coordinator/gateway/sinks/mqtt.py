@@ -13,7 +13,7 @@ from coordinator.gateway.interface import Result, Sink
 
 
 class MqttSettings(BrokerSettings):
-    """Of ``[[results]]``. ``topic``: ``{run}`` and ``{area}`` in it stand for their names."""
+    """Keys of ``[[results]]``. ``topic``: ``{run}`` and ``{area}`` in it stand for their names."""
 
     topic: Annotated[str, Field(pattern=r"^[^+#]+$")] = "dsse/{run}/{area}/state"
     qos: Literal[0, 1, 2] = 0

@@ -23,7 +23,7 @@ ADDRESS, VALUE, VALID, UNIT = "address", "value", "valid", "unit"
 
 
 class CsvSettings(Table):
-    """Of ``[source]``. ``time``: the column of the times of measurement."""
+    """Keys of ``[source]``. ``time``: the column of the times of measurement."""
 
     path: MapPath
     delimiter: Literal[",", ";", "\t"] = ","
@@ -37,8 +37,8 @@ class HeaderError(ValueError):
 
 class CsvSource(Source):
     """Reads a file with a header: columns ``time``, ``address`` and ``value``, with or without ``valid`` and ``unit``;
-    or ``time`` and a column for each address. An empty cell is no reading, and a line without any is rejected. A line
-    counts when it is whole.
+    or ``time`` and a column for each address. An empty cell is no reading; a line without readings is rejected. A line
+    counts once its line end has been read.
     """
 
     Settings = CsvSettings
@@ -50,11 +50,11 @@ class CsvSource(Source):
                 await self._follow(file, emit)
 
     async def _follow(self, file: BinaryIO, emit: Emit) -> None:
-        """Until another file stands in its place, or it is shorter than it was."""
+        """Emit the lines of ``file`` until another file replaces it, or it becomes shorter."""
         cutter = LineCutter()
         columns: _Columns | None = None
         while True:
-            is_replaced = not _is_same(file, self.settings.path)  # asked first: what it still has is read once more
+            is_replaced = not _is_same(file, self.settings.path)  # asked before the last read of a replaced file
             while piece := file.read(PIECE):
                 for line in cutter.cut(piece):
                     if line is None:
@@ -70,7 +70,7 @@ class CsvSource(Source):
 
 
 def _is_same(file: BinaryIO, path: Path) -> bool:
-    """Whether ``path`` is still ``file``, and not shorter than what was read of it; between two files it is."""
+    """True where ``path`` is still ``file`` and at least as long as the part read, or does not exist at the moment."""
     try:
         now = path.stat()
     except FileNotFoundError:

@@ -16,14 +16,14 @@ MALFORMED = "malformed"
 
 
 class JsonLinesSettings(Table):
-    """Of ``[source]``: none."""
+    """Keys of ``[source]``: none."""
 
 
 class JsonLinesSource(Source):
-    """Reads ``{"address": ..., "value": ..., "time": ..., "valid": ..., "unit": ...}``, of which only the first two
-    must be there, or ``{"time": ..., "values": {ADDRESS: VALUE, ...}}``, until the end of standard input.
+    """Reads ``{"address": ..., "value": ..., "time": ..., "valid": ..., "unit": ...}``, with the first two
+    required, or ``{"time": ..., "values": {ADDRESS: VALUE, ...}}``, until the end of standard input.
 
-    Between two pieces of 64 KiB it waits until they are taken: a producer that is too fast waits at its pipe.
+    The reader waits until the gateway has taken its last pieces, of 64 KiB each; a faster producer waits at its pipe.
     """
 
     Settings = JsonLinesSettings
@@ -33,7 +33,7 @@ class JsonLinesSource(Source):
         loop, cutter = asyncio.get_running_loop(), LineCutter()
         taken = threading.Semaphore(2)
 
-        def read_all() -> None:  # no object of Python's is locked while this waits: the process can always end
+        def read_all() -> None:  # ``os.read`` waits without a lock of ``sys.stdin``: the process can always end
             while True:
                 taken.acquire()
                 piece = os.read(STDIN, PIECE)

@@ -18,9 +18,9 @@ from dsse_core.files.strict_table import Table
 
 REJECTED, SILENT = "rejected by the device", "no answer"
 ADDRESS = re.compile(r"(?:(?P<device>\d{1,3})/)?(?P<table>holding|input):(?P<register>\d{1,5})(?::(?P<type>\w+))?")
-MOST_REGISTERS = 120  # of one question; the protocol allows 125
+MOST_REGISTERS = 120  # of one request; the protocol allows 125
 LARGEST_DEVICE, REGISTERS = 255, 2**16
-LONGEST_SILENCE_S = 10.0  # between two questions to a device that does not answer: each keeps the others waiting
+LONGEST_SILENCE_S = 10.0  # between two requests to a device that does not answer: each delays the other devices
 TYPES = {
     "int16": AsyncModbusTcpClient.DATATYPE.INT16,
     "uint16": AsyncModbusTcpClient.DATATYPE.UINT16,
@@ -34,8 +34,8 @@ TYPES = {
 
 
 class ModbusSettings(Table):
-    """Of ``[source]``. ``period_s``: from one reading of all registers to the next. ``words``: which 16 bits of a
-    longer number come first.
+    """Keys of ``[source]``. ``period_s``: from one reading of all registers to the next. ``words``: order of the 16-bit
+    words of a longer number.
     """
 
     host: str
@@ -48,7 +48,7 @@ class ModbusSettings(Table):
 
 @dataclass(frozen=True, slots=True, order=True)
 class _Register:
-    """Where an ``address`` is; ``count`` registers of 16 bits."""
+    """Place of an ``address``: ``count`` registers of 16 bits from ``first`` on."""
 
     device: int
     table: str
@@ -64,7 +64,7 @@ class _Register:
 
 @dataclass(frozen=True, slots=True)
 class _Silence:
-    """Of a device that has not answered: ``until`` when it is not asked, a pause of ``pause_s`` that grows."""
+    """Pause of a device that has not answered: no request until ``until`` (loop time, s); ``pause_s`` grows."""
 
     until: float
     pause_s: float
@@ -127,7 +127,7 @@ class ModbusSource(Source):
             client.close()
 
     async def _read_block(self, client: AsyncModbusTcpClient, block: Sequence[_Register], emit: Emit) -> None:
-        """Read registers that follow one another; where the device rejects them together, each by itself."""
+        """Read adjacent registers with one request; where the device rejects it, read each register by itself."""
         first, last = block[0], block[-1]
         read = client.read_holding_registers if first.table == "holding" else client.read_input_registers
         count = last.first + last.count - first.first
@@ -155,7 +155,7 @@ def _parse(address: str, device: int) -> _Register:
 
 
 def _join(registers: Sequence[_Register]) -> Iterator[list[_Register]]:
-    """Blocks of registers without a gap: a device may have none between two of the map."""
+    """Blocks of sorted registers without gaps, since a device may have no register between two of the map."""
     block: list[_Register] = []
     for register in registers:
         if block and (

@@ -22,14 +22,14 @@ from coordinator.gateway.sources.texts import (
 )
 
 MALFORMED, DROPPED, NO_TIME = "malformed", "dropped", "retained without a time"
-MOST_OF_A_TOPIC = 100  # messages of one topic that wait; a flood of one topic takes nothing from the others
+MOST_OF_A_TOPIC = 100  # waiting messages of one topic; a flood of one topic displaces no other
 LARGEST_PAYLOAD = 2**16  # bytes
-OTHERS = "# without an address"  # in place of all topics that the map does not have
+OTHERS = "# without an address"  # stands for all topics that the map does not have
 
 
 class MqttSettings(BrokerSettings):
-    """Of ``[source]``. ``topics``: what to subscribe to, in place of the topics of the addresses; ``value``, ``time``,
-    ``valid``, ``unit``: where they stand in a payload that is a JSON object, keys with dots between them.
+    """Keys of ``[source]``. ``topics``: subscriptions in place of the topics of the addresses. ``value``, ``time``,
+    ``valid``, ``unit``: their places in a payload that is a JSON object, keys with dots between them.
     """
 
     topics: list[str] = Field(default_factory=list)
@@ -51,10 +51,10 @@ class MqttSettings(BrokerSettings):
 
 
 class MqttSource(Source):
-    """An address is a topic, whose payload is a number or a JSON object; ``TOPIC#PATH`` says where the value stands in
-    the object, so that one message may read many meters.
+    """Reads topics. An address is a topic, whose payload is a number or a JSON object. ``TOPIC#PATH`` names the place
+    of the value in the object, so that one message can carry many meters.
 
-    What the broker has kept for newcomers is as old as its time says; without one it is no reading.
+    A retained message has the age that its time states; without a time it is no reading.
     """
 
     Settings = MqttSettings
@@ -62,7 +62,7 @@ class MqttSource(Source):
 
     def __init__(self, settings: Any, addresses: Sequence[str]) -> None:
         super().__init__(settings, addresses)
-        self.paths: dict[str, list[tuple[str, str]]] = {}  # topic -> the addresses there, and where they stand
+        self.paths: dict[str, list[tuple[str, str]]] = {}  # topic -> its addresses, each with the path of its value
         for address in addresses:
             topic, _, path = address.partition("#")
             self.paths.setdefault(topic, []).append((address, path or settings.value))
@@ -128,8 +128,8 @@ class MqttSource(Source):
 
 
 class _FairQueue(asyncio.Queue[aiomqtt.Message]):
-    """Messages that wait, some of each topic: of more, the oldest of that topic are dropped and counted. Topics that
-    are not ``known`` count as one: there may be any number of them.
+    """Queue with at most MOST_OF_A_TOPIC messages of each topic; beyond that, the oldest of the topic is dropped and
+    counted. All topics that are not ``known`` count as one, since their number has no limit.
     """
 
     def __init__(self, known: Container[str]) -> None:
@@ -151,7 +151,7 @@ class _FairQueue(asyncio.Queue[aiomqtt.Message]):
         topic = str(item.topic) if str(item.topic) in self.known else OTHERS
         waiting = self._by_topic.setdefault(topic, deque())
         if isinstance(item.payload, bytes) and len(item.payload) > LARGEST_PAYLOAD:
-            item.payload = item.payload[: LARGEST_PAYLOAD + 1]  # too large all the same
+            item.payload = item.payload[: LARGEST_PAYLOAD + 1]  # still too large, but with less memory
         waiting.append(item)
         self._count += 1
         if len(waiting) > MOST_OF_A_TOPIC:

@@ -19,15 +19,15 @@ from dsse_core.files.bounded_file import read_text
 from dsse_core.files.strict_table import Table
 
 NOT_THERE, DROPPED = "unknown to the server", "dropped"
-CHECK_S = 1.0  # between two looks whether the server is still there
-WAITING = 100  # values of a node that the server keeps for one message
-SAMPLING_MS = 50.0  # between two looks of the server at a node
+CHECK_S = 1.0  # between two checks of the connection to the server
+WAITING = 100  # values of a node that the server queues for one message
+SAMPLING_MS = 50.0  # interval at which the server samples a node
 OVERFLOW = 0x480  # of a status: the server had no room for values before this one
 NO_FILTERS = {StatusCodes.BadMonitoredItemFilterUnsupported, StatusCodes.BadFilterNotAllowed}
 
 
 class OpcUaSettings(Table):
-    """Of ``[source]``. ``interval_s``: of messages with what has changed. ``security``: as asyncua writes it, e.g.
+    """Keys of ``[source]``. ``interval_s``: of messages with changes. ``security``: as asyncua writes it, e.g.
     ``Basic256Sha256,SignAndEncrypt,cert.der,key.pem``.
     """
 
@@ -46,8 +46,8 @@ class OpcUaSettings(Table):
 
 
 class OpcUaSource(Source):
-    """An address is the id of a node, ``ns=2;s=Feeder1.P``. The server sends what has changed, a value, its status or
-    the time of its source; only ``Good`` is vouched for.
+    """Reads nodes; an address is the id of a node, ``ns=2;s=Feeder1.P``. The server sends changes of the value, of its
+    status or of its source time. Only a reading of status ``Good`` is valid.
     """
 
     Settings = OpcUaSettings
@@ -81,10 +81,10 @@ class OpcUaSource(Source):
 
 
 async def _subscribe(subscription: Any, nodes: Sequence[Any]) -> dict[Any, Any]:
-    """Have the server send what is new of ``nodes``; why it does not, of those of which it does not.
+    """Subscribe to ``nodes``; returns node -> status of those that the server refuses.
 
-    By default a server sends a value that is other than the last. That a meter has read the same again, only the time
-    tells; where a server cannot look at that, what it sends by default is better than nothing.
+    By default a server sends only values that differ from the last. The filter asks it to send equal values with a new
+    time as well. A server that does not support the filter is subscribed to without it.
     """
     by_time = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValueTimestamp)
     rejected = await _monitor(subscription, nodes, by_time, first=0)
@@ -97,7 +97,7 @@ async def _subscribe(subscription: Any, nodes: Sequence[Any]) -> dict[Any, Any]:
 
 
 async def _monitor(subscription: Any, nodes: Sequence[Any], only: Any, first: int) -> dict[Any, Any]:
-    """The statuses of those of ``nodes`` that cannot be monitored; ``first``: number of the first of them."""
+    """Node -> status of those of ``nodes`` that cannot be monitored; client handles count from ``first + 1``."""
     requests = [
         ua.MonitoredItemCreateRequest(
             ItemToMonitor=ua.ReadValueId(NodeId=node.nodeid, AttributeId=AttributeIds.Value),
@@ -113,7 +113,7 @@ async def _monitor(subscription: Any, nodes: Sequence[Any], only: Any, first: in
 
 
 class _Handler:
-    """Gets what the server sends."""
+    """Receiver of the server's notifications."""
 
     def __init__(self, nodes: dict[Any, str], emit: Emit) -> None:
         self.nodes = nodes

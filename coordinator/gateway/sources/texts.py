@@ -1,4 +1,4 @@
-"""What sources of text share: numbers, times, yes and no, and readings in JSON."""
+"""Parsers that sources of text share: numbers, times, validity, and objects in JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ YES = {"true", "1", "yes", "good", "valid"}
 
 
 def as_number(text: str) -> float | str:
-    """The number in ``text``; ``text`` itself if it is none, which is counted where it is emitted."""
+    """The number in ``text``; ``text`` itself if it is none, which the intake then counts as wrong."""
     try:
         return float(text)
     except ValueError:
@@ -35,21 +35,21 @@ def as_time(given: object) -> Any:
 
 
 def as_validity(given: object) -> bool:
-    """Whether a source vouches for a reading: ``given`` says so, or there is nothing (None, an empty text)."""
+    """True where a source vouches for a reading: ``given`` is yes, or absent (None, an empty text)."""
     if isinstance(given, str):
         return given.strip().lower() in YES | {""}
     return given is None or given is True or given == 1
 
 
 class NotUsableError(ValueError):
-    """A text that is no JSON object, or that the one reader of JSON rejects."""
+    """A text that is no JSON object, or that ``parse_json`` rejects."""
 
 
 def parse_object(text: str | bytes) -> Mapping[str, Any]:
     """The JSON object in ``text``.
 
     Raises:
-        NotUsableError: it is none, or ``parse_json`` rejects it; saying why.
+        NotUsableError: it is no object, or ``parse_json`` rejects it; with the reason.
     """
     try:
         found = parse_json(text.decode() if isinstance(text, bytes) else text)
@@ -61,7 +61,7 @@ def parse_object(text: str | bytes) -> Mapping[str, Any]:
 
 
 def find_at(content: object, path: str) -> tuple[bool, object]:
-    """Whether there is something at ``path``, keys with dots between them, and what."""
+    """True and the value at ``path``, keys with dots between them; False and None where there is none."""
     for key in path.split("."):
         if not isinstance(content, dict) or key not in content:
             return False, None
