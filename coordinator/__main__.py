@@ -1,4 +1,4 @@
-"""``dsse``: an agent starts with nothing but what it needs; everything else goes to the command line."""
+"""``dsse``: starts an agent with only the imports that it needs; all other commands go to the command line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from coordinator import interrupts
 
-SWITCH_S = 1e-3  # after which a thread that computes lets in one that has messages from the bus
+SWITCH_S = 1e-3  # after which a computing thread yields to one with messages from the bus
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -19,7 +19,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     _replace_closed_streams()
     arguments = list(sys.argv[1:] if argv is None else argv)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # spinning threads would take the agents' cores
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # to look for some, it reads about all packages
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # the search for some reads about all packages
     gc.set_threshold(100_000, 50, 100)  # a large grid is millions of objects without cycles: look for some rarely
     sys.setswitchinterval(SWITCH_S)
     if isinstance(sys.stdout, io.TextIOWrapper):
@@ -27,13 +27,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     code = _run_agent(arguments[1:]) if arguments[:1] == ["agent"] else _run_command(arguments)
     interrupts.ignore()
-    gc.freeze()  # what is left ends with the process: nobody need look for cycles in it
+    gc.freeze()  # the process ends: no search for cycles in what is left
     return code
 
 
 def _replace_closed_streams() -> None:
-    """Let the standard streams that the caller has closed lead nowhere: else the first files take their numbers, and
-    output goes into these.
+    """Open the null device for standard streams that the caller has closed.
+
+    Otherwise the first files opened get their numbers, and output goes into these files.
     """
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(number, True)

@@ -1,5 +1,5 @@
-"""The front of everything that answers over HTTP, page and metrics alike: names under which it is asked for, requests
-that it refuses, and room for so many connections.
+"""Front of the HTTP servers, page and metrics alike: their host names, the requests that they refuse, and the limit on
+connections.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from urllib.parse import urlsplit
 from coordinator.listen import name_address
 
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
-BACKLOG = 2048  # connections that wait to be taken
+BACKLOG = 2048  # connections that wait to be accepted
 MOST_READERS = 200
 LONGEST_REQUEST = 16 * 1024  # bytes
-REQUEST_S = 10.0  # in which a request must have come whole
-PATIENCE_S = 10.0  # with a reader that takes nothing
+REQUEST_S = 10.0  # for a whole request to arrive
+PATIENCE_S = 10.0  # with a reader that receives nothing
 
 
 def is_loopback(host: str) -> bool:
@@ -30,16 +30,16 @@ def is_loopback(host: str) -> bool:
 
 
 def open_listener(host: str, port: int) -> socket.socket:
-    """A socket that listens at ``host``:``port``, 0 for any port that is free.
+    """A socket that listens at ``host``:``port``, 0 for any free port.
 
     Raises:
-        OSError: the place is taken or is not there.
+        OSError: the port is in use, or the address is not one of this host.
     """
     listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind((host, port))
-        listener.listen(BACKLOG)  # readers that are told the address may ask at once
+        listener.listen(BACKLOG)  # readers may connect as soon as they know the address
     except BaseException:
         listener.close()
         raise
@@ -55,16 +55,16 @@ class Rejection:
     headers: dict[str, str] = field(default_factory=dict)
 
 
-LAST = {"connection": "close"}  # after an answer to what may have a body, the rest of which is not waited for
+LAST = {"connection": "close"}  # for a request that may have a body, whose rest is not read
 
 
 @dataclass(frozen=True)
 class Front:
-    """Lets in requests for one of ``hosts`` (``name:port``), the first of which errors name, that only read.
+    """Lets in reading requests for one of ``hosts`` (``name:port``); errors name the first of them.
 
-    ``by_address``: also requests for any address in digits. A page of another site that a browser is led to can neither
-    read an answer (Origin) nor ask for it under a name of its own (Host), which is how pages attack servers on
-    loopback; a name of its own is never an address in digits.
+    ``by_address``: also lets in requests for any address in digits. A page of another site in a browser can neither
+    read an answer (Origin) nor request it under a host name of that site (Host), the way in which pages attack servers
+    on loopback. Such a host name is never an address in digits.
     """
 
     hosts: Sequence[str]
@@ -72,7 +72,7 @@ class Front:
 
     @classmethod
     def of(cls, host: str, port: int, names: Iterable[str] = (), *, by_address: bool = False) -> Front:
-        """The front of what listens at ``host``:``port``; ``names``: of this host, beyond loopback."""
+        """The front of a server at ``host``:``port``; ``names``: of this host, beyond loopback."""
         others = LOOPBACK_NAMES if is_loopback(host) else tuple(name.lower() for name in names)
         own = name_address(host, port)
         usual = (*others, own.rpartition(":")[0]) if port in (80, 443) else ()  # browsers leave these ports out
@@ -112,7 +112,7 @@ def _is_address(host: str) -> bool:
 
 
 def _host_of(origin: str) -> str:
-    """``name:port`` of an origin; empty if it has none."""
+    """``name:port`` of an origin, or ``name`` alone; empty if it has none."""
     try:
         return urlsplit(origin).netloc.lower()
     except ValueError:
@@ -126,7 +126,7 @@ class Silent(Protocol):
     def silent_since(self) -> float: ...
 
     def end(self) -> None:
-        """Close it at once."""
+        """Close the connection at once."""
         ...
 
 
@@ -134,6 +134,6 @@ AnySilent = TypeVar("AnySilent", bound=Silent)
 
 
 def make_room(connections: int, silent: Iterable[AnySilent]) -> None:
-    """Room for one more beside so many ``connections``: of MOST_READERS the one that is silent longest is closed."""
+    """Make room for one more connection: of MOST_READERS ``connections``, the one silent longest is closed."""
     if connections >= MOST_READERS and (longest := min(silent, key=lambda one: one.silent_since, default=None)):
         longest.end()

@@ -1,7 +1,7 @@
-"""What signals do to the command ``dsse``, stage by stage: end it at once while it loads, raise while it works, end it
-with the exit code that has been decided once there is one.
+"""Effect of signals on the command ``dsse``, stage by stage: they end it at once while it loads, raise while it works,
+and end it with the decided exit code once there is one.
 
-Only ``coordinator.__main__`` begins this; where commands are called as functions, signals stay the caller's.
+Only ``coordinator.__main__`` begins this; where commands are called as functions, the caller's handlers stay.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ _ASKED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGPW
 _TIME_IS_UP = ("SIGALRM", "SIGVTALRM", "SIGPROF", "SIGXCPU")
 _REAL_TIME = range(getattr(signal, "SIGRTMIN", 0), getattr(signal, "SIGRTMAX", -1) + 1)
 ENDS = (*(getattr(signal, name) for name in (*_ASKED, *_TIME_IS_UP) if hasattr(signal, name)), *_REAL_TIME)
-"""All signals that end a process by default, but for SIGKILL and those that stand for a defect of it."""
+"""All signals that end a process by default, except SIGKILL and those of a defect in the process."""
 INTERRUPTED_CODE = 1
 _state: dict[str, int | None] = {"is_command": False, "decided": None, "held": False, "came": False}
 
 
 class Held:
-    """A block that Ctrl-C does not break off: the command ends after it; a second Ctrl-C is followed at once."""
+    """A block that Ctrl-C does not interrupt: the command ends after the block; a second Ctrl-C ends it at once."""
 
     def __enter__(self) -> None:
         _state["held"], _state["came"] = True, False
@@ -38,13 +38,13 @@ class Held:
 
 
 def end_at_once() -> None:
-    """Loading: nothing is there to be tidied up, and imports that are broken off show tracebacks."""
+    """Stage of loading: Ctrl-C ends the process at once, since an interrupted import would show a traceback."""
     _state.update(is_command=True, decided=None)
     _set(SIGINT, _end_interrupted)
 
 
 def raise_interrupts() -> None:
-    """Working: Ctrl-C raises KeyboardInterrupt, as Python has it, but not out of an import."""
+    """Stage of work: Ctrl-C raises KeyboardInterrupt as usual in Python, but not inside an import."""
     _set(SIGINT, _interrupt)
 
 
@@ -54,19 +54,19 @@ def end_orderly_on_signals() -> None:
 
 
 def decide(code: int) -> None:
-    """The verdict is known: from now on a signal ends the command with ``code``, after what it writes is tidied up."""
+    """Stage after the verdict: a signal ends the command with ``code``, after its files are tidied up."""
     _state["decided"] = code
     _set(ENDS, _interrupt_once)
 
 
 def ignore() -> None:
-    """The command is over: Python, ending, gives handlers back to the system, but leaves alone what is ignored."""
+    """Stage after the command: signals are ignored. Python resets handlers as it ends, but not ignored signals."""
     _set(ENDS, signal.SIG_IGN)
 
 
 def _set(numbers: tuple[int, ...], handler: object) -> None:
     for number in numbers:
-        if _state["is_command"] and signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
+        if _state["is_command"] and signal.getsignal(number) != signal.SIG_IGN:  # SIGHUP under nohup stays ignored
             signal.signal(number, handler)  # type: ignore[arg-type]
 
 
@@ -76,14 +76,15 @@ def _end_interrupted(*_: object) -> NoReturn:
 
 
 def _interrupt_once(number: int, frame: FrameType | None) -> None:
-    """As ``_interrupt``; another signal does not break off the tidying up."""
+    """``_interrupt``, with further signals ignored, so that they do not interrupt the tidying up."""
     ignore()
     _interrupt(number, frame)
 
 
 def _interrupt(_number: int, frame: FrameType | None) -> None:
-    """Raise what ends the command, or once the import under way is over: compiled modules swallow it, or make a
-    traceback of it.
+    """Raise the exception that ends the command; inside an import, raise it after the import.
+
+    A compiled module that is being imported would swallow the exception, or show a traceback.
     """
     if _state["held"] and not _state["came"]:
         _state["came"] = True
@@ -94,11 +95,11 @@ def _interrupt(_number: int, frame: FrameType | None) -> None:
     import sys  # loaded already wherever a module is imported
 
     importer.f_trace = _raise_interrupt
-    sys.settrace(lambda *_: None)  # without any, that of the frame is not asked
+    sys.settrace(lambda *_: None)  # without a global one, Python does not call that of the frame
 
 
 def _make_end() -> BaseException:
-    """KeyboardInterrupt; once there is an exit code, the end with that."""
+    """KeyboardInterrupt; once an exit code is decided, SystemExit with that code."""
     return KeyboardInterrupt() if _state["decided"] is None else SystemExit(_state["decided"])
 
 

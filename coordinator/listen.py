@@ -1,4 +1,4 @@
-"""Where a command answers over HTTP: ``--listen HOST:PORT``."""
+"""Address at which a command answers over HTTP: ``--listen HOST:PORT``."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dsse_core.errors import InvalidInputError
 
 
 def parse_listen(text: str, example: str) -> tuple[str, int]:
-    """Host and port of ``HOST:PORT`` or ``[HOST]:PORT``; port 0 is any that is free.
+    """Host and port of ``HOST:PORT`` or ``[HOST]:PORT``; port 0 stands for any free port.
 
     Raises:
-        InvalidInputError: it is neither; what one looks like is ``example``.
+        InvalidInputError: ``text`` has neither form; the error shows ``example``.
     """
     host, _, port = text.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")

@@ -1,4 +1,4 @@
-"""The folder of one run: where it is, and that it is new or empty."""
+"""The folder of one run: its path, and the check that it is new or empty."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def make_run_folder(out: str | Path | None, name: str, inside: Sequence[str] = (
 
 @contextmanager
 def result_folder(out: Path) -> Iterator[Path]:
-    """Folder ``out``, new or empty, for the results of the block; after an error what was made for nothing is gone.
+    """Folder ``out``, new or empty, for the results of the block; after an error, empty folders made here are removed.
 
     Raises:
         InvalidInputError: as ``make_run_folder``.
@@ -47,13 +47,13 @@ def result_folder(out: Path) -> Iterator[Path]:
         yield make_run_folder(out, "")
     except BaseException:
         for place in made:
-            with suppress(OSError):  # never made, or something stands in it
+            with suppress(OSError):  # never made, or not empty
                 place.rmdir()
         raise
 
 
 def describe_missing(folder: Path, name: str) -> str:
-    """That file ``name`` is not in ``folder``, in words; empty where it is, or nobody may look."""
+    """Words for the error that file ``name`` is not in ``folder``; empty where it is, or cannot be looked for."""
     try:
         (folder / name).stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -64,7 +64,7 @@ def describe_missing(folder: Path, name: str) -> str:
 
 
 def _is_made(folder: Path) -> bool:
-    """Make ``folder``; False where somebody else just has."""
+    """Make ``folder``; False where another process has just made it."""
     try:
         folder.mkdir()
     except FileExistsError:
@@ -73,14 +73,14 @@ def _is_made(folder: Path) -> bool:
 
 
 def folder_error(what: str, error: OSError) -> InvalidInputError:
-    """That the folder ``what`` cannot be made or looked into, and why."""
+    """Error that the folder ``what`` cannot be made or read, with the reason."""
     in_the_way = isinstance(error, FileExistsError | NotADirectoryError)
     reason = "a file is in its way" if in_the_way else error.strerror
     return InvalidInputError(what, [f"cannot be made: {reason}; choose another place"])
 
 
 def _find_free(parent: Path, name: str) -> Path:
-    """``parent/name``, or with -2, -3 ... appended; made at once, so that no other run takes it."""
+    """``parent/name``, or with -2, -3 ... appended; made at once, so that no other run uses it."""
     parent.mkdir(parents=True, exist_ok=True)
     number = 1
     while True:

@@ -1,4 +1,4 @@
-"""Can the areas of a scenario estimate under its strategy?"""
+"""Check that the areas of a scenario can estimate under its strategy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from scenarios.scenario import Scenario
 
 
 def check_with_strategy(scenario: Scenario) -> Scenario:
-    """``scenario``, whose meters observe the grid together and, where its strategy needs it, each area's own its part.
+    """``scenario``, after a check of its meters: together they observe the grid.
+
+    Where the strategy needs it, the meters of each area observe its part.
 
     Raises:
         InvalidInputError: as ``check_scenario``; or the strategy cannot be used.
@@ -20,7 +22,7 @@ def check_with_strategy(scenario: Scenario) -> Scenario:
 
 
 def plan_with_strategy(scenario: Scenario) -> EstimationPlan | None:
-    """As ``check_with_strategy``; the plan of the whole grid, where the check has made it (``check_and_plan``)."""
+    """Check as ``check_with_strategy``; the plan of the whole grid where the check made it (``check_and_plan``)."""
     strategy = load_strategy(scenario.strategy)
     if problems := strategy.find_ring_problems(scenario.strategy, scenario.partition.areas):
         raise InvalidInputError(f"scenario {scenario.name!r}", problems)

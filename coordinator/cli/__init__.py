@@ -1,1 +1,1 @@
-"""The command line ``dsse``: a few lines for each command, which call the other rooms and print."""
+"""The command line ``dsse``: a few lines for each command, which call the other packages and print."""

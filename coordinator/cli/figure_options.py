@@ -1,4 +1,4 @@
-"""Options for what is left to be looked at: which figures in which formats, or none."""
+"""Options for figures: their formats, or no figures at all."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _read_formats(_: click.Context, __: click.Parameter, text: str | None) -> tu
 
 
 def figure_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """``--format`` and ``--no-plots``; the command gets ``formats``, None where nothing is to be drawn."""
+    """``--format`` and ``--no-plots``; the command gets ``formats``, None with ``--no-plots``."""
 
     @click.option(
         "--format",
@@ -41,10 +41,10 @@ def figure_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def asked_for_formats() -> bool:
-    """Whether this command was given ``--format``."""
+    """True where this command was given ``--format``."""
     return bool(click.get_current_context().params.get("formats"))
 
 
 def given_arguments() -> tuple[str, ...]:
-    """The arguments of this command, as they were given: with them it is repeated."""
+    """The arguments of this command as they were given, by which a report says how to repeat it."""
     return tuple(click.get_current_context().find_root().obj or ())

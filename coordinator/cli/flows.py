@@ -1,4 +1,4 @@
-"""The command ``dsse flows``: what flows in one area of a running system, in the units of its engineers."""
+"""The command ``dsse flows``: flows in one area of a running system, in the units of engineers."""
 
 from __future__ import annotations
 

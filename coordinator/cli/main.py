@@ -64,7 +64,7 @@ def run_command(arguments: Sequence[str]) -> int:
         error.show(usage)
         notify(usage.getvalue().rstrip())
         return 2
-    except OSError as error:  # a full disk, a folder that cannot be written, a file that is none
+    except OSError as error:  # a full disk, a folder that cannot be written, a path that is no file
         name = f"{error.filename}: " if error.filename else ""
         notify(f"error: {name}{error.strerror or error}; choose another place, or make room there")
         return 2
@@ -76,10 +76,10 @@ def run_command(arguments: Sequence[str]) -> int:
 
 
 def _compile_for_next_time(code: int) -> None:
-    """After the answer to a question about a large network, have the next one answered sooner; see ``only_loading``.
+    """Compile the solvers that this command has done without, so that the next one is faster; see ``only_loading``.
 
-    In this process, so that none stays behind. Who reads the answer through a pipe has its end before. A signal ends
-    the command with ``code``.
+    Compilation runs in this process, so that no process stays behind. Standard output ends before, for a reader of a
+    pipe. A signal ends the command with ``code``.
     """
     if not compiling.has_done_without():
         return
@@ -96,7 +96,7 @@ def _compile_for_next_time(code: int) -> None:
 
 
 def report_interrupted() -> int:
-    """Say that somebody has ended the command; its exit code."""
+    """Print that the command was interrupted; its exit code."""
     notify("interrupted")
     return INTERRUPTED_CODE
 
@@ -292,7 +292,7 @@ def _estimate_once(loaded: Scenario, output: Output) -> None:
 
 
 def _estimate_scans(loaded: Scenario, scans: Scans, output: Output) -> int:
-    """The exit code."""
+    """Estimate every scan and print the results; the exit code, 1 if a scan has no estimate."""
     from coordinator.evaluation.answers import scans_as_json
     from coordinator.evaluation.scan_estimates import estimate_scans
     from coordinator.report.scan_text import format_scans

@@ -142,7 +142,10 @@ def import_file(file: Path, out: Path, n_area: int, name: str | None, frequency_
 
 
 def _check(path: Path, source: Path) -> None:
-    """Check a scenario that has just been written, which its source may make impossible to estimate."""
+    """Check the scenario written from ``source``.
+
+    Raises:
+        InvalidInputError: it cannot be estimated, as for a source with too few measurements."""
     from agents.strategies.installed import list_strategies
     from coordinator.strategy_check import check_with_strategy
     from scenarios.scenario import load_scenario

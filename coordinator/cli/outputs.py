@@ -1,4 +1,4 @@
-"""How ``dsse estimate`` and ``dsse powerflow`` hand over what they find: text, JSON or CSV to read on, files."""
+"""Output of ``dsse estimate`` and ``dsse powerflow``: text, JSON or CSV on standard output, and files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ parquet_option = click.option("--parquet", is_flag=True, help="Write the tables 
 
 @dataclass(frozen=True)
 class Output:
-    """Where results go: ``folder``, if files are wanted, and standard output as text, JSON or one table as CSV."""
+    """Form of the output: ``folder``, if files are wanted, and on standard output text, JSON or one table as CSV."""
 
     folder: Path | None
     as_json: bool
@@ -33,13 +33,18 @@ class Output:
     parquet: bool
 
     def check_table(self, names: Sequence[str], where: str) -> None:
-        """That the table that ``--csv`` asks for is one of ``names``, those ``where``, before anything is computed."""
+        """Check, before the computation, that the table of ``--csv`` is one of ``names``.
+
+        ``where``: of what these tables are, for the error.
+
+        Raises:
+            click.UsageError: it is none of them."""
         if self.csv is not None and self.csv not in names:
             raise click.UsageError(f"--csv {self.csv}: {where} there are the tables {', '.join(names)}; choose one")
 
     @property
     def is_text(self) -> bool:
-        """Whether nothing but text is wanted."""
+        """True where only text is wanted."""
         return self.folder is None and not self.as_json and self.csv is None
 
 
@@ -64,7 +69,10 @@ def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def check_parquet_option(parquet: bool) -> None:
-    """That what ``--parquet`` asks for can be done, before anything is computed."""
+    """Check, before the computation, that ``--parquet`` can be done.
+
+    Raises:
+        InvalidInputError: pyarrow is not installed."""
     if parquet:
         from coordinator.evaluation.table_files import check_parquet
 
@@ -80,8 +88,8 @@ def hand_over(
 ) -> None:
     """Write the files that are asked for, ``content`` as result.json, and print.
 
-    ``text``: what is printed unless JSON or CSV is asked for. ``notes``: what it says of how far the result can be
-    trusted; beside JSON and CSV, which others read on, they go to standard error.
+    ``text``: printed unless JSON or CSV is asked for. ``notes``: the remarks in ``text`` on how far the result can be
+    trusted; with JSON and CSV, which programs read, they go to standard error.
     """
     if output.folder is not None:
         _write_files(output.folder, output.parquet, tables, content())

@@ -121,7 +121,7 @@ def router(
 
 
 def _access_of(scenario: str, run_id: str | None) -> Access:
-    """Who takes part in a run of ``scenario``."""
+    """Processes and rights of a run of ``scenario``."""
     from coordinator.deployment.run_access import access_without_keys
     from coordinator.deployment.split import choose_run_id
     from scenarios.scenario import load_scenario
@@ -168,7 +168,7 @@ def plant(
 
     prepared = check_with_strategy(choose_scenario(scenario, seed))
     every = every or prepared.run.scan_s or prepared.renew_s
-    # a plant that is started anew has new readings: the clock is ahead of all numbers of its last incarnation
+    # a restarted plant has new readings: the clock is ahead of all scan numbers of its last incarnation
     scan = int(time.time() / SHORTEST_SCAN_S)
     direct = prepared.transport.kind == "neighbours"
     if direct and not endpoints:

@@ -1,4 +1,4 @@
-"""What the commands share: arguments and options, progress on the terminal, and ending on a signal."""
+"""Parts that the commands share: arguments and options, output and progress on the terminal, the end of a run."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SECURE_ENDPOINT = "tls/127.0.0.1:7447"
 
 
 class Number(click.FloatRange):
-    """A number within limits; NaN, which no limit keeps out, and infinity are none."""
+    """A finite number within limits; NaN passes every limit of click, so it is refused here, as infinity is."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         number = super().convert(value, param, ctx)
@@ -74,7 +74,7 @@ run_folder_option = click.option(
 
 @contextmanager
 def answering_once() -> Iterator[None]:
-    """Of a command that computes something and ends: it waits for no compiler, and has all memory for itself."""
+    """Context of a command that computes an answer and ends: it waits for no compiler, and keeps freed memory."""
     keep_all()
     with only_loading():
         yield
@@ -97,7 +97,7 @@ def set_option(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def changed(scenario: str, changes: Mapping[str, object]) -> str | Scenario:
-    """What to run: the name ``scenario`` if nothing is changed, so that it is read where it is needed."""
+    """The scenario with ``changes``; its name where there are none, so that the file is read where it is needed."""
     if not changes:
         return scenario
     from coordinator.evaluation.evaluation import choose_scenario
@@ -108,7 +108,7 @@ def changed(scenario: str, changes: Mapping[str, object]) -> str | Scenario:
 def connect_option(
     secured_by: str = "--keys", default: str | None = None
 ) -> Callable[[Callable[..., object]], Callable[..., object]]:
-    """``--connect``; without it ``choose_endpoints`` decides, or what ``default`` says. ``secured_by``: the
+    """``--connect``; without it ``choose_endpoints`` decides, or the rule that ``default`` states. ``secured_by``: the
     option that asks for TLS.
     """
     default = default or f"[default: {DEFAULT_ENDPOINT}; with {secured_by} {SECURE_ENDPOINT}]"
@@ -125,7 +125,7 @@ def check_connect(_: click.Context, parameter: click.Parameter, endpoints: tuple
     """The endpoints of an option, to connect to.
 
     Raises:
-        InvalidInputError: one is none.
+        InvalidInputError: a text is no endpoint to connect to.
     """
     check_endpoints(parameter.opts[0], endpoints)
     return endpoints
@@ -135,7 +135,7 @@ def check_listen(_: click.Context, parameter: click.Parameter, endpoints: tuple[
     """The endpoints of an option, to listen on.
 
     Raises:
-        InvalidInputError: one is none.
+        InvalidInputError: a text is no endpoint to listen on.
     """
     check_endpoints(parameter.opts[0], endpoints, listens=True)
     return endpoints
@@ -147,7 +147,7 @@ def choose_endpoints(given: tuple[str, ...], secured: bool) -> tuple[str, ...]:
 
 
 def show(text: str) -> bool:
-    """Print in one piece, printable; whether anybody still reads: to a result it makes no difference."""
+    """Print ``text`` in one piece, made printable; False where the reader of standard output has closed it."""
     try:
         sys.stdout.write(printable_lines(text) + "\n")
         sys.stdout.flush()
@@ -166,13 +166,13 @@ def end_output() -> None:
 
 
 def notify(text: str) -> None:
-    """Print on standard error, printable, if anybody still reads it."""
+    """Print on standard error, made printable; an error there is ignored."""
     with suppress(OSError):
         print(printable_lines(text), file=sys.stderr, flush=True)
 
 
 def next_run(scenario: Path) -> str:
-    """The command that runs ``scenario``, as a shell takes it, for who has just made that."""
+    """A hint with the command that runs the new file ``scenario``, quoted for a shell."""
     return f"next: {shlex.join(['dsse', 'run', str(scenario)])}"
 
 
@@ -206,7 +206,7 @@ def _report_unwritten(result: RunResult) -> int:
 
 @contextmanager
 def progress(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
-    """How progress is shown: not at all, as a table that stays in the terminal, or as a line now and then."""
+    """Function that shows progress, None if ``quiet``: a table in a terminal, else a line every PROGRESS_LINE_S."""
     if quiet:
         clock.notify = None
         yield None

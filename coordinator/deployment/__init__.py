@@ -1,1 +1,1 @@
-"""What a system on several hosts needs before it starts: area files, endpoints, keys."""
+"""Preparation of a system on several hosts: area files, endpoints, keys."""

@@ -25,18 +25,18 @@ HERE = ("localhost", "127.0.0.1", "::1")
 LONGEST_HOST = 253  # letters of a name in the DNS, RFC 1035
 LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
 LONGEST_NAME = 64  # letters of a common name, X.520
-CLOCKS_DIFFER = datetime.timedelta(minutes=5)  # a certificate is valid so long before it was made
+CLOCKS_DIFFER = datetime.timedelta(minutes=5)  # a certificate is valid from so long before its creation
 
 
 def listeners_of(access: Access, direct: bool) -> tuple[str, ...]:
-    """Who is called by others: routers, or, ``direct``, all areas."""
+    """Processes that others connect to: the routers, or, ``direct``, all areas."""
     return tuple(access.neighbours) if direct else (ROUTER,)
 
 
 def check_keys(folder: Path, access: Access, direct: bool = False) -> None:
     """Check that ``folder`` has good credentials of all processes of a run, and rules for its areas and neighbours.
 
-    ``direct``: areas listen, and there is no router.
+    ``direct``: areas listen, without a router.
 
     Raises:
         InvalidInputError: every problem of the files, or of the rules.
@@ -69,9 +69,9 @@ def check_keys(folder: Path, access: Access, direct: bool = False) -> None:
 def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] = (), *, direct: bool = False) -> None:
     """Write authority, certificates, private keys and the rules of access into ``folder``, new or empty.
 
-    Nobody else reads a key, whatever the umask. ``hosts``: names and addresses, beside those of this host's loopback,
-    under which those are reached who listen: routers, or, ``direct``, areas; ``area1=HOST`` is one of area1's alone.
-    Everybody else's certificate is good for calling only, so that its owner is taken for no router.
+    Only the owner of the files can read a key, whatever the umask. ``hosts``: names and addresses of the listening
+    processes, beside those of loopback: routers, or, ``direct``, areas; ``area1=HOST`` is one of area1 alone. All other
+    certificates are for clients only, so that no other process can pose as a router.
 
     Raises:
         InvalidInputError: ``folder`` holds something already, or a name does not fit into a certificate.
@@ -146,7 +146,7 @@ def _build_certificate(
     days: float,
     hosts: Sequence[str],
 ) -> x509.Certificate:
-    """For who calls others, and, at ``hosts``, if there are any, is called: routers call each other."""
+    """Certificate of a client, and, with ``hosts``, of a server under these names as well; a linked router is both."""
     usage = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if hosts else [])]
     issued_by = x509.AuthorityKeyIdentifier.from_issuer_public_key(signing_key.public_key())
     builder = (
@@ -192,13 +192,13 @@ def _find_host_problem(text: str, listeners: Sequence[str]) -> str:
 
 
 def _hosts_of(name: str, hosts: Sequence[str]) -> tuple[str, ...]:
-    """Where ``name`` is called: here, at what is given for all, and at what is given for it."""
+    """Hosts of process ``name``: loopback, the hosts given for all, and those given for it."""
     parts = [host.rpartition("=") for host in hosts]
     return (*HERE, *(host for whose, given, host in parts if not given or whose == name))
 
 
 def _is_host(host: str) -> bool:
-    """Whether it is an address, or a name of letters, digits and hyphens, not all numbers."""
+    """True for an address, and for a name of letters, digits, hyphens and underscores whose last label is no number."""
     labels = host.split(".")
     is_name = len(host) <= LONGEST_HOST and all(map(LABEL.fullmatch, labels)) and not labels[-1].isdigit()
     return is_name or (host.isascii() and isinstance(_host(host), x509.IPAddress))

@@ -1,4 +1,4 @@
-"""Where areas listen that link with their neighbours directly."""
+"""Endpoints of areas that link with their neighbours directly."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def choose_area_endpoints(scenario: Scenario, protocol: str = "tcp") -> dict[str
     """Area -> its endpoint: ports that count up from that of ``transport.listen``, or free ones if it is 0.
 
     Raises:
-        InvalidInputError: there are not so many ports, or the host is not this one.
+        InvalidInputError: there are too few ports, or the host is not this one.
     """
     names = [area.name for area in scenario.partition.areas]
     host, _, text = scenario.transport.listen.partition("/")[2].rpartition(":")
@@ -30,10 +30,10 @@ def choose_area_endpoints(scenario: Scenario, protocol: str = "tcp") -> dict[str
 
 
 def known_area_endpoints(scenario: Scenario, protocol: str = "tcp") -> dict[str, str]:
-    """``choose_area_endpoints`` where every call comes to the same, for who has not started the areas.
+    """``choose_area_endpoints`` for processes that have not started the areas; every call gives the same endpoints.
 
     Raises:
-        InvalidInputError: the areas took free ports, or there are not so many.
+        InvalidInputError: the scenario lets areas take free ports, or there are too few.
     """
     if scenario.transport.listen.endswith(":0"):
         problem = (
@@ -45,7 +45,7 @@ def known_area_endpoints(scenario: Scenario, protocol: str = "tcp") -> dict[str,
 
 
 def _find_free_ports(host: str, count: int) -> list[int]:
-    """Ports of this host that nobody listens on at this moment."""
+    """Ports of this host that are free at this moment."""
     with ExitStack() as open_sockets:
         ports = []
         for _ in range(count):

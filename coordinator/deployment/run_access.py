@@ -1,4 +1,4 @@
-"""Who takes part in a run, and may say what: of a scenario's areas, their neighbours and gateways."""
+"""Access to a run, from its scenario: the areas, their neighbours and their gateways."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from dsse_core.reading_rules import ANYBODY, ReadingRules
 
 
 def access_of(partition: Partition, run: str, rules: Mapping[str, ReadingRules] | None = None) -> Access:
-    """Who is whose neighbour among the areas of ``partition``, and who sends them readings.
+    """Neighbours of each area of ``partition``, and the areas that each gateway sends readings to.
 
-    ``rules``: area -> those of its readings; None: the plant sends to all.
+    ``rules``: area -> the rules of its readings; None: the plant sends to all areas.
     """
     neighbours = {area.name: tuple(sorted({n.area for n in area.neighbours})) for area in partition.areas}
     gateways: dict[str, tuple[str, ...]] = {}
@@ -29,7 +29,7 @@ def access_of(partition: Partition, run: str, rules: Mapping[str, ReadingRules] 
 
 
 def access_without_keys(partition: Partition, run: str, rules: Mapping[str, ReadingRules]) -> Access:
-    """The same where nobody shows a certificate: gateways have any name where the rules of the readings allow it."""
+    """Access of a run without certificates: gateways may have any name where the rules of the readings allow it."""
     access = access_of(partition, run, rules)
     if any(ANYBODY in of_area.gateways for of_area in rules.values()):
         return replace(access, gateways={**access.gateways, ANYBODY: tuple(access.neighbours)})

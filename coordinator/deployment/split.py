@@ -1,4 +1,4 @@
-"""``dsse split``: a scenario becomes one file per area, which is all that an agent reads."""
+"""``dsse split``: writes one file per area of a scenario, the only input of an agent."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def area_files(
     area_endpoints: Mapping[str, str] | None = None,
     time: float | None = None,
 ) -> list[AreaFile]:
-    """What each area is to know, in scenario order.
+    """Content of each area's file, in scenario order.
 
-    ``endpoints``: of the routers. ``area_endpoints``: instead, where each area listens; of two neighbours the child
-    calls. ``time``: of the split, s since 1970 UTC; now if not given.
+    ``endpoints``: of the routers. ``area_endpoints``: instead of these, area -> the endpoint that it listens on; of two
+    neighbours the child connects to the parent. ``time``: of the split, s since 1970 UTC; by default now.
     """
     area_endpoints = area_endpoints or {}
     partition = scenario.partition
@@ -68,7 +68,7 @@ def area_files(
 
 
 def find_split(scenario: Scenario) -> SplitIdentity:
-    """The split that area files of ``scenario`` are of, whenever they are made: its time is not known."""
+    """Identity of the split of ``scenario``, without its time, since that differs with each split."""
     (split, *_) = (content.split for content in area_files(scenario, "", ()))
     assert split is not None
     return SplitIdentity(split.digest)
@@ -102,10 +102,10 @@ def write_area_files(
     area_endpoints: Mapping[str, str] | None = None,
     suffix: str = ".toml",
 ) -> Iterator[tuple[str, Path]]:
-    """Write ``<area>.toml`` (or ``suffix``) of every area into ``folder``, see ``area_files``; area, file.
+    """Write ``<area>.toml`` (or ``suffix``) of every area into ``folder``, see ``area_files``; yields area and file.
 
     Raises:
-        InvalidInputError: one of ``endpoints`` is none.
+        InvalidInputError: one of ``endpoints`` is no endpoint.
     """
     check_endpoints("endpoints", endpoints)
     folder.mkdir(parents=True, exist_ok=True)

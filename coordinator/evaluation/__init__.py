@@ -1,3 +1,3 @@
-"""A run evaluated: beside the centralised estimate of the same readings, since when it is close, and the files of
-its result.
+"""Evaluation of a run: comparison with the centralised estimate of the same readings, times of convergence, and the
+files of its result.
 """

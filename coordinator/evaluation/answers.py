@@ -1,4 +1,4 @@
-"""What ``result.json`` has of an answer in one place, and its parts that a run has, too."""
+"""Content of ``result.json`` for estimates and power flows in one place, and the parts shared with that of a run."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def power_flow_as_json(solved: Scenario | Network, result: PowerFlowResult) -> d
 
 
 def head_json(scenario: Scenario) -> dict[str, Any]:
-    """Which scenario it is."""
+    """The version of the file and the description of its scenario."""
     of_scenario = {
         "name": scenario.name,
         "path": str(scenario.path),
@@ -59,12 +59,12 @@ def head_json(scenario: Scenario) -> dict[str, Any]:
 
 
 def versions_json() -> dict[str, Any]:
-    """What has computed it."""
+    """Versions of Python and of the packages that have computed the result."""
     return {"versions": {"python": platform.python_version()} | {name: version_of(name) for name in DISTRIBUTIONS}}
 
 
 def report_as_json(report: BadDataReport) -> dict[str, Any]:
-    """What the chi-square test and the removal of bad data have found."""
+    """Findings of the chi-square test and of the removal of bad data."""
     return {
         "objective": report.objective,
         "degrees_of_freedom": report.degrees_of_freedom,
@@ -83,7 +83,7 @@ def report_as_json(report: BadDataReport) -> dict[str, Any]:
 
 
 def version_of(distribution: str) -> str | None:
-    """The version of an installed package, None if it is not."""
+    """The version of a package, None if it is not installed."""
     try:
         return importlib.metadata.version(distribution)
     except importlib.metadata.PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""The decentralised states beside the centralised estimate and the truth: how far apart, by bus and by area."""
+"""Comparison of the decentralised states with the centralised estimate and the truth, by bus and by area."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dsse_core.results.units import wrap_degrees
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Voltages:
-    """``vm`` p.u., ``va`` rad: shape (n_bus,), network order; nan where nothing is known."""
+    """``vm`` p.u., ``va`` rad: shape (n_bus,), network order; nan where not known."""
 
     vm: np.ndarray
     va: np.ndarray
@@ -39,8 +39,8 @@ class Comparison:
     """Voltages of all buses from three sources, and their differences.
 
     ``decentralised`` takes each bus from the area that owns it. ``gap`` is to the centralised estimate of the
-    same telemetry, ``error`` to the truth; those per area run over every bus that the area sees. ``published``: what
-    the areas with an estimate say, relative angles included.
+    same telemetry, ``error`` to the truth; those per area run over every bus that the area sees. ``sigma``: standard
+    deviations by the owners. ``published``: the voltages of areas with an estimate, relative angles included.
     """
 
     partition: Partition
@@ -57,7 +57,7 @@ class Comparison:
 
     @property
     def knows_truth(self) -> bool:
-        """Whether there is a truth to compare with: the readings of a file have none."""
+        """True where there is a truth to compare with; the readings of a file have none."""
         return not np.isnan(self.truth.vm).all()
 
     @property
@@ -91,8 +91,8 @@ def compare(
 ) -> Comparison:
     """Put the areas' published ``states`` beside ``centralised`` and ``truth``.
 
-    A truth that nobody knows (None), a centralised estimate that failed (None) and an area without estimate
-    count as nan; so do the angles of one whose angles do not count from the substation.
+    An unknown truth (None), a failed centralised estimate (None) and an area without estimate count as nan. So do the
+    angles of an area whose angles do not count from the substation.
     """
     n = len(partition.network.buses)
     whole, sigma, unknown = (Voltages(np.full(n, np.nan), np.full(n, np.nan)) for _ in range(3))
@@ -106,7 +106,7 @@ def compare(
         whole.va[rows[owned]] = by_area[area.name].va[owned]
         if state is not None and state.buses:
             sigma.vm[rows[owned]] = np.array(state.sigma_vm)[owned]
-            if state.referenced:  # else they grow without limit: nobody knows where angle 0 is
+            if state.referenced:  # else they grow without limit, as angle 0 has no reference
                 sigma.va[rows[owned]] = np.array(state.sigma_va)[owned]
     return Comparison(
         partition=partition,

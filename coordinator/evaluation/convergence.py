@@ -1,4 +1,4 @@
-"""How the areas came closer to the centralised estimate: the gap of each over time, and since when it is small."""
+"""Convergence of the areas to the centralised estimate: the gap of each over time, and when it becomes small."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def gap_history(outcome: RunOutcome) -> dict[str, np.ndarray]:
 
 
 def find_time_below(gaps: Mapping[str, np.ndarray], limit: float) -> float | None:
-    """The time (s) from which on no area is farther off than ``limit`` (p.u. and rad) again; None if there is none."""
+    """The time (s) from which on the gap of every area stays within ``limit`` (p.u. and rad); None if there is none."""
     times = []
     for series in gaps.values():
         above = ~(np.maximum(series[:, 1], np.radians(series[:, 2])) <= limit)  # nan is above

@@ -1,4 +1,4 @@
-"""What every run has in common, of processes or on the simulator: preparation, observation, evaluation."""
+"""Steps shared by runs of processes and on the simulator: preparation, observation, evaluation."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from scenarios.telemetry import Telemetry
 NO_CHANGES: LinkChanges = {}
 NO_SETTINGS: Mapping[str, object] = {}
 MAX_NAMED = 20  # obstacles
-REFERENCE_ESTIMATE = 1e-9  # p.u. and rad: the largest last step of an estimate that others are measured against
+REFERENCE_ESTIMATE = 1e-9  # p.u. and rad: largest last step of a reference estimate
 
 
 def choose_scenario(
@@ -38,7 +38,7 @@ def choose_scenario(
     links: LinkChanges = NO_CHANGES,
     changes: Mapping[str, object] = NO_SETTINGS,
 ) -> Scenario:
-    """Load a scenario by name or path and replace what is given; whether it can be estimated is not checked.
+    """Load a scenario by name or path, and replace the values given; it may be impossible to estimate.
 
     ``changes``: key of the scenario file -> value in its place, for a scenario that is not loaded yet.
 
@@ -68,7 +68,7 @@ def choose_scenario(
 
 
 def make_observer(scenario: Scenario) -> Observer:
-    """An observer that asks of the areas what ``scenario`` does."""
+    """An observer with the tolerances and the heartbeat of ``scenario``."""
     return Observer(
         scenario.partition,
         tolerance_va=scenario.tolerances.consensus_va_rad,
@@ -80,31 +80,32 @@ def make_observer(scenario: Scenario) -> Observer:
 
 @dataclass(frozen=True, slots=True)
 class Centralised:
-    """The centralised estimate, or why there is none: the areas go on, their consensus does not need it."""
+    """The centralised estimate, or the reason of its failure; the areas continue without it."""
 
     report: BadDataReport | None
     failure: str | None
 
 
 def estimate_centralised(scenario: Scenario, telemetry: Telemetry, plan: EstimationPlan | None = None) -> Centralised:
-    """What a control centre would make of the telemetry of all areas; ``plan``: of all meters, if there already.
+    """Estimate of a control centre from the telemetry of all areas; ``plan``: of all meters, if it exists already.
 
-    Where it is compiled for that, so is the rest of what a single estimate needs, which never waits for a compiler.
+    Where the plan's solver is compiled, the other functions of a single estimate are compiled as well, since
+    ``dsse estimate`` never waits for a compiler.
     """
     readings, tolerance = telemetry.union, min(scenario.tolerances.estimator, REFERENCE_ESTIMATE)
     try:
-        if plan is not None and plan.meters is read_meters_of(readings):  # each has a reading
+        if plan is not None and plan.meters is read_meters_of(readings):  # each meter has a reading
             values, sigmas = (read_column(readings, key, float) for key in ("value", "sigma"))
             report = process_bad_data_with_plan(plan, values, sigmas, tolerance=tolerance)
         else:
             report = process_bad_data(scenario.network, readings, tolerance=tolerance)
     except DsseError as error:
         return Centralised(None, str(error))
-    except MemoryError as error:  # the areas, each of which has a part of the grid, may have had enough
+    except MemoryError as error:  # areas, each with a part of the grid, may have enough memory
         return Centralised(None, ": ".join(filter(None, ["there is not enough memory for it", str(error)])))
     plan = report.result.plan
     if plan.backend == "radial" and not has_whole("estimate"):
-        from agents.runtime.warm_up import warm_up_estimate  # which most runs do not need
+        from agents.runtime.warm_up import warm_up_estimate  # not needed by most runs
 
         warm_up_estimate()
     if plan.backend == "sparse" and plan.sparse.pattern.is_compiled and not has_whole("sparse"):
@@ -135,10 +136,10 @@ def evaluate(
     faults: Mapping[str, int],
     duplicates: Sequence[Duplicate] = (),
 ) -> RunOutcome:
-    """Compare what the areas have published with the centralised estimate and the truth, and sum up.
+    """Compare the areas' published states with the centralised estimate and the truth; the outcome of the run.
 
-    ``reason``: None at consensus. ``started``: when the run began on the observer's clock, s. ``faults``: kind -> how
-    often it has happened. ``duplicates``: areas and plants that ran twice.
+    ``reason``: None at consensus. ``started``: start of the run on the observer's clock, s. ``faults``: kind -> number
+    of faults. ``duplicates``: areas, plants and gateways that ran twice.
     """
     comparison = compare(scenario.partition, observer.states, telemetry.truth, centralised.report)
     return RunOutcome(

@@ -1,4 +1,4 @@
-"""The centralised estimate that a run is measured against, made beside the watching: of a large grid it takes long."""
+"""The centralised estimate as reference of a run, made on a thread during the run, as a large grid takes long."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from coordinator.evaluation.evaluation import Centralised
 
 
 def start_reference_estimate(estimate: Callable[[], Centralised]) -> Future[Centralised]:
-    """Make the centralised estimate on a thread, which does not hold up the end of the program."""
+    """Make the centralised estimate on a daemon thread, which does not delay the end of the program."""
     future: Future[Centralised] = Future()
 
     def make() -> None:

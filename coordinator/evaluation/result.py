@@ -24,10 +24,10 @@ from scenarios.scenario import Scenario
 
 @dataclass(frozen=True, slots=True)
 class AreaResult:
-    """One area at the verdict; gaps and errors over every bus that it sees.
+    """One area at the verdict; gaps and errors are over every bus that it sees.
 
     ``quality``: of its last state at the verdict (docs/explanation/quality.md).
-    ``notes``: why, the worst first; of a state that is good, remarks.
+    ``notes``: reasons for the quality, the worst first; for a good state, remarks.
     """
 
     name: str
@@ -50,7 +50,7 @@ class AreaResult:
 
     @property
     def degraded(self) -> bool:
-        """Whether the quality of the state is lower than it should be."""
+        """True where the quality of the state is not good."""
         return self.quality != GOOD
 
 
@@ -58,10 +58,10 @@ class AreaResult:
 class RunOutcome(WithTables):
     """Everything about one run. ``timing_s``: moments in seconds since the call, on the simulator in virtual time.
 
-    ``faults``: kind -> how often it has happened, to messages and to processes. ``duplicates``: areas and plants that
+    ``faults``: kind -> number of faults, of messages and of processes. ``duplicates``: areas, plants and gateways that
     ran twice at once.
 
-    ``centralised`` is None where that estimate failed; ``centralised_failure`` says why. ``readings``: of all areas.
+    ``centralised``: None where that estimate failed; ``centralised_failure``: the reason. ``readings``: of all areas.
     """
 
     scenario: Scenario
@@ -97,7 +97,7 @@ class RunOutcome(WithTables):
 
 @dataclass(frozen=True, repr=False)
 class RunResult(RunOutcome):
-    """A run whose files lie in ``folder``; ``unwritten`` says why some of them do not, None if all do."""
+    """A run with its files in ``folder``; ``unwritten``: the reason that some are missing, None if all are written."""
 
     folder: Path = field(kw_only=True)
     unwritten: str | None = None
@@ -138,7 +138,7 @@ def _make_area_result(name: str, observer: Observer, comparison: Comparison, now
 
 
 def write_files(result: RunResult, events_failure: str | None) -> RunResult:
-    """Write the result's files; a full disk is no reason to lose the result, which says then what is missing."""
+    """Write the result's files; the result, with the reason in ``unwritten`` where a file is missing."""
     try:
         write_result(result)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""The tables of a run: the state that the areas have found together, and what follows from it."""
+"""The tables of a run: the joint state of the areas, and the quantities that follow from it."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from dsse_core.results.totals import Division, division_of, find_totals
 
 AreaFigures = Mapping[str, Any]
 SAME_SIGMA = 1e-6
-"""Relative difference up to which an area's standard deviation of a magnitude is the centralised one: only then does
-what follows from the centralised covariance hold for the area's estimate."""
+"""Relative difference up to which an area's standard deviation of a magnitude counts as equal to the centralised one.
+Only then does the centralised covariance hold for the area's estimate."""
 
 
 def make_run_tables(
@@ -32,11 +32,11 @@ def make_run_tables(
     centralised: BadDataReport | None,
     areas: Sequence[AreaFigures],
 ) -> Results:
-    """Voltages are those of the owners, flows follow from the voltages of the area that holds the branch.
+    """Tables with the voltages of the owners, and flows from the voltages of the area that holds the branch.
 
-    ``areas``: what ``result.json`` has of each, in order.
+    ``areas``: the figures of each area in ``result.json``, in order.
 
-    Areas publish standard deviations of voltages only. Those of what follows, and of residuals, come from the
+    Areas publish standard deviations of voltages only. Those of other quantities, and of residuals, come from the
     covariance of the centralised estimate, at buses where both agree on that of the magnitude (SAME_SIGMA); elsewhere
     they are nan.
     """
@@ -64,7 +64,7 @@ def make_run_tables(
 def _find_deviations(
     comparison: Comparison, centralised: BadDataReport | None, state: GridState, division: Division
 ) -> tuple[Deviations, np.ndarray]:
-    """Standard deviations, and at which buses areas and centralised estimate agree on those of magnitudes, (n_bus,)."""
+    """Standard deviations; True for buses where those of the magnitude equal the centralised ones, (n_bus,)."""
     own = comparison.sigma
     published = replace(no_deviations(state.network, division), vm=own.vm, va=own.va)
     if centralised is None:
@@ -75,12 +75,12 @@ def _find_deviations(
     branches = np.where(both & ~np.isnan(state.flows.s_from.real), central.branches, np.nan)
     injections = np.where(agreed & ~np.isnan(state.injection.real), central.injections, np.nan)
     totals = np.where(_find_agreed_areas(state, division, both, agreed), central.totals, np.nan)
-    # found at once, as what they are found from takes more memory than the tables
+    # computed now, as their inputs take more memory than the tables
     return replace(published, branches=branches, injections=injections, find_totals=lambda: totals), agreed
 
 
 def _find_agreed_areas(state: GridState, division: Division, branches: np.ndarray, buses: np.ndarray) -> np.ndarray:
-    """Of which areas all owned ``buses``, and all ``branches`` that they hold or that end there, agree, (n_area,)."""
+    """True for areas of which all owned ``buses``, and all ``branches`` held or ending there, agree, (n_area,)."""
     agreed = np.ones(len(division.names), dtype=bool)
     agreed[division.of_bus[~buses]] = False
     for area in (division.of_branch, division.of_bus[state.branches.f], division.of_bus[state.branches.t]):
@@ -96,9 +96,10 @@ def _find_readings(
     areas: Sequence[AreaFigures],
     agreed: np.ndarray,
 ) -> MeterReadings:
-    """Readings with what became of them in the areas; a removed meter has the centralised normalised residual.
+    """Readings, with the meters that areas removed or found critical; a removed meter has the centralised normalised
+    residual.
 
-    ``agreed`` (n_meas,): at the bus of each meter.
+    ``agreed`` (n_meas,): True where the standard deviations at the meter's bus agree.
     """
     removed = {meter for area in areas for meter in area["removed"]}
     critical = {meter for area in areas for meter in area["critical"]}
@@ -113,7 +114,7 @@ def _find_readings(
 
 
 def _figures_of(areas: Sequence[AreaFigures]) -> dict[str, np.ndarray]:
-    """The columns OF_A_RUN, as in ``result.json``; of lists and tables their sizes and sums."""
+    """The columns OF_A_RUN, as in ``result.json``; lists become their sizes, tables of counts their sums."""
     plain = ("gap_vm_pu", "gap_va_deg", "error_vm_pu", "error_va_deg", "objective", "degrees_of_freedom")
     counts = {key: np.array([a[key] for a in areas]) for key in ("exchanges", "messages", "bytes", "lost")}
     counts["rejected"] = np.array([sum(a["rejected"].values()) for a in areas])

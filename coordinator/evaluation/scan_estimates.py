@@ -24,11 +24,11 @@ from scenarios.scenario import Scenario, TelemetrySettings, find_virtual_problem
 
 @dataclass(frozen=True)
 class ScanEstimates:
-    """``batch``: the estimate of each scan, its bad data removed. ``removed``: row -> ids of the meters taken out;
-    ``undecided``: row -> ids of those that the readings do not tell from them.
+    """``batch``: the estimate of each scan, its bad data removed. ``removed``: row -> ids of the removed meters;
+    ``undecided``: row -> ids of meters that the readings cannot distinguish from these.
 
-    ``bad_data_left`` (n_scan,): where the chi-square limit is exceeded even so. ``present`` (n_scan,): how many
-    readings each scan has.
+    ``bad_data_left`` (n_scan,): True where J exceeds the chi-square limit after the removal. ``present`` (n_scan,):
+    number of readings of each scan.
     """
 
     names: tuple[str, ...]
@@ -40,17 +40,17 @@ class ScanEstimates:
 
     @cached_property
     def limits(self) -> np.ndarray:
-        """Of J in each scan, (n_scan,)."""
+        """Chi-square limit of J in each scan, (n_scan,)."""
         return np.array([chi_square_limit(n, CONFIDENCE) for n in self.batch.degrees_of_freedom.tolist()])
 
     @cached_property
     def tables(self) -> ScanTables:
-        """A row for each scan, and for each bus of each."""
+        """Tables with a row for each scan, and for each bus of each scan."""
         of_meters = self.removed, self.undecided, self.bad_data_left
         return make_scan_tables(self.names, self.batch, self.limits, self.present, *of_meters)
 
     def describe_failures(self) -> list[str]:
-        """Of every scan without an estimate its name and the reason."""
+        """Name and reason of every scan without an estimate."""
         return [f"scan {self.names[row]}: {failure.text}" for row, failure in self.batch.failures.items()]
 
 
@@ -58,7 +58,7 @@ def load_scans_of(scenario: Scenario, path: Path) -> Scans:
     """The readings in ``path`` of one or many scans, in place of those of ``scenario``.
 
     Raises:
-        InvalidInputError: every problem of the file; or the scenario's own readings are those of areas.
+        InvalidInputError: every problem of the file; or the scenario has readings by area, not of one grid.
     """
     if scenario.telemetry.source == "area-power-flow":
         problem = "a scenario with telemetry.source 'area-power-flow' has no readings of one grid; choose another one"
@@ -78,7 +78,7 @@ def with_one_scan(scenario: Scenario, scans: Scans) -> Scenario:
 
 
 def _meters_of(scenario: Scenario, scans: Scans) -> Sequence[Meter]:
-    """Those that read something in any scan, then the virtual ones."""
+    """The meters of ``scans``, then the virtual ones of ``scenario``."""
     return join_meters(scenario.network, [scans.meters, _virtual_of(scenario)])
 
 
@@ -87,7 +87,9 @@ def _virtual_of(scenario: Scenario) -> Sequence[Meter]:
 
 
 def estimate_scans(scenario: Scenario, scans: Scans) -> ScanEstimates:
-    """All scans with one plan, as a batch; those whose J exceeds its limit, once more with their bad data removed.
+    """Estimate all scans with one plan, as a batch; then those with bad data once more, by bad-data processing.
+
+    Bad data: J exceeds its limit, or a meter is dead.
 
     Raises:
         NotObservableError: not even all meters together determine the state.
@@ -111,7 +113,7 @@ def estimate_scans(scenario: Scenario, scans: Scans) -> ScanEstimates:
 
 
 class _Cleaning:
-    """Fills in the arrays of ``found`` what bad-data processing makes of a scan."""
+    """Bad-data processing of single scans, which writes its results into the arrays of ``found``."""
 
     def __init__(
         self, plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, tolerance: float, found: ScanEstimates

@@ -1,6 +1,6 @@
-"""The readings that areas have used in the scan that they show, which a verdict on that scan compares with.
+"""The readings that areas have used in their current scan, the reference of a verdict on that scan.
 
-Where readings age, or clocks number scans, nobody else knows which those are: not the newest of a plant.
+Only the areas know them where readings age, or clocks number scans: they may differ from the plant's newest.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from scenarios.telemetry import Telemetry
 
 
 class UsedReadings:
-    """The newest that each area has published; nothing is asked of areas whose readings do not age."""
+    """The newest readings that each area has published; not needed where readings do not age."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
@@ -29,13 +29,13 @@ class UsedReadings:
         self._newest: dict[str, ReadingsMessage] = {}
 
     def take(self, message: ReadingsMessage) -> None:
-        """An area has published what it has used."""
+        """Keep the readings that an area has published, if they are newer than its last."""
         known = self._newest.get(message.header.sender)
         if self._is_needed and (known is None or message.header.order > known.header.order):
             self._newest[message.header.sender] = message
 
     def find_missing(self, states: Mapping[str, StateMessage]) -> Iterator[str]:
-        """Why the scan that ``states`` show cannot be judged yet."""
+        """Sentences on areas whose readings for the scan in ``states`` are missing for a verdict."""
         for name, state in sorted(states.items()) if self._is_needed else ():
             used = self._newest.get(name)
             if used is None or (used.header.incarnation, used.header.scan, used.taken_at) != (
@@ -46,7 +46,7 @@ class UsedReadings:
                 yield f"which readings {name} has used in scan {state.header.scan} is not known yet"
 
     def put_into(self, telemetry: Telemetry, states: Mapping[str, StateMessage]) -> Telemetry:
-        """``telemetry`` with the readings that were used in ``states``, where those are others."""
+        """``telemetry`` with the readings used in ``states``; if readings do not age, without meters that are off."""
         if not self._is_needed:
             return _without(telemetry, {meter_id for state in states.values() for meter_id in state.meters_off})
         by_area = {area.name: self._readings_of(area.name) for area in self._scenario.partition.areas}

@@ -1,4 +1,4 @@
-"""The verdict of a run: whether the areas agree, why not, and how far they are from the centralised estimate."""
+"""The verdict of a run: consensus or the reason against it, and the gap to the centralised estimate."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from coordinator.observe.observer import Observer
 class Verdict:
     """The answer of a run. ``gap``: to the centralised estimate; ``error``: to the truth; None where not known.
 
-    ``reason`` says why there is no consensus. ``messages``, ``bytes``, ``lost``: totals of all areas up to their
-    last report, repeats included. ``wall_s``: from the call to the verdict. ``virtual_s``: time until then on the
+    ``reason``: of no consensus, else None. ``messages``, ``bytes``, ``lost``: totals of all areas up to their
+    last report, repeats included. ``wall_s``: from the call to the verdict. ``virtual_s``: the same on the
     simulator's clock, None in a run of processes.
     """
 
@@ -34,7 +34,7 @@ class Verdict:
 def make_verdict(
     observer: Observer, comparison: Comparison, reason: str | None, wall_s: float, virtual_s: float | None = None
 ) -> Verdict:
-    """Sum up; ``reason`` is None at consensus."""
+    """The verdict from the areas' last states; ``reason``: None at consensus."""
     states = observer.states.values()
     gap, error = comparison.gap, comparison.error
     return Verdict(

@@ -1,4 +1,4 @@
-"""The estimate of a whole grid in one place, once: what ``dsse estimate`` does. Meters and readings stay in arrays."""
+"""One estimate of a whole grid in one place, for ``dsse estimate``. Meters and readings stay in arrays."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def estimate_whole_grid(scenario: Scenario) -> tuple[BadDataReport, PowerFlowRes
 
     Raises:
         InvalidInputError: every problem in what the meters observe.
-        NotObservableError: the scan lacks readings without which the state is not determined.
+        NotObservableError: the readings of the scan do not determine the state.
         PowerFlowDivergedError, EstimationDivergedError: see there.
     """
     plan = plan_whole_grid(scenario)

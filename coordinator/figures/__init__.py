@@ -1,1 +1,1 @@
-"""Pictures: figures of a run and of studies, diagrams of networks; how they look and how they are written."""
+"""Figures of runs and studies, diagrams of networks, and the style and files of both."""

@@ -13,18 +13,21 @@ MAX_LABELS = 33
 MAX_AREA_NAMES = 12
 MAX_BOUNDARIES = 30
 MAX_SHADED = 40
-LETTERS_OF_AXIS = 110  # that stand beside each other
+LETTERS_OF_AXIS = 110  # that fit side by side
 
 
 def order_buses(partition: Partition) -> np.ndarray:
-    """Rows of all buses, area after area, within an area by number."""
+    """Rows of all buses, area after area, within an area by bus number."""
     number = {area.name: k for k, area in enumerate(partition.areas)}
     owner, ids = partition.owner_of_bus, partition.network.table.bus_id.tolist()
     return np.array(sorted(range(len(ids)), key=lambda row: (number[owner[ids[row]]], ids[row])), dtype=np.int64)
 
 
 def label_buses(axis: Axes, partition: Partition, order: np.ndarray, named: bool = True) -> None:
-    """Bus numbers below, if ``named``, and areas with their names where there is room."""
+    """Label the axis with bus numbers, shade every second area and mark boundary buses.
+
+    ``named``: with area names and a label of the axis. Bus numbers are thinned out, and the other marks left out, where
+    there are too many."""
     ids = partition.network.table.bus_id[order].tolist()
     owners = [partition.owner_of_bus[bus] for bus in ids]
     letters = max(len(str(bus)) for bus in ids) + 1

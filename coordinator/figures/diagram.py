@@ -1,4 +1,4 @@
-"""The one-line diagram that pictures of networks share: paper, lines from bus to bus, marks, numbers of buses."""
+"""Parts of one-line diagrams of networks: the figure, lines from bus to bus, marks, bus numbers."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from dsse_core.grid.partition import Partition
 MAX_DOTS = 600  # buses that are drawn as dots
 MAX_BUS_NAMES = 60
 SMALLEST_IN, LARGEST_IN = 3.0, 16.0
-MANY_LABELS = 150  # more get more paper
+MANY_LABELS = 150  # more labels need a larger figure
 
 
 def new_diagram(layout: Layout, n_label: int) -> tuple[Figure, Axes]:
-    """Paper for ``layout``; more of it where ``n_label`` numbers of buses would not find room."""
+    """Figure for ``layout``, larger where ``n_label`` bus numbers need more room; and its axes."""
     columns, rows = np.ptp(layout.place, axis=0)
     width, height = _inches(columns), _inches(rows) + 1
     more = max(1.0, (n_label / MANY_LABELS) ** 0.5)
@@ -33,12 +33,14 @@ def new_diagram(layout: Layout, n_label: int) -> tuple[Figure, Axes]:
 
 
 def _inches(length: float) -> float:
-    """How much paper so many columns or rows get."""
+    """Size of so many columns or rows, inches."""
     return float(np.clip(0.35 * length + 1, SMALLEST_IN, LARGEST_IN))
 
 
 def find_corners(network: Network, layout: Layout, branch: Branch) -> np.ndarray:
-    """Three: along the column of the inner bus, then along the row of the outer. Two if the branch closes a loop."""
+    """Corners of a branch's line, (3, 2): along the column of the inner bus, then along the row of the outer.
+
+    A branch that closes a loop is a straight line, (2, 2)."""
     inner, outer = branch.from_bus, branch.to_bus
     if layout.upstream[inner] == outer:
         inner, outer = outer, inner
@@ -53,12 +55,12 @@ def line_width(n_bus: int) -> float:
 
 
 def mark_size(n_bus: int) -> float:
-    """Of boundary buses and the substation, points."""
+    """Size of the marks of boundary buses and of the substation, points."""
     return 8.0 if n_bus <= MAX_BUS_NAMES else 6.0 if n_bus <= MAX_DOTS else 4.0
 
 
 def mark_boundaries(axes: Axes, partition: Partition, layout: Layout, fill: str = PAPER) -> None:
-    """Boundary buses as rings, filled with ``fill``, the substation as a square."""
+    """Draw boundary buses as rings, filled with ``fill``, and the substation as a square."""
     network = partition.network
     assert network.slack is not None  # a partition has a substation
     if partition.boundaries:
@@ -80,9 +82,9 @@ def _mark(axes: Axes, layout: Layout, rows: list[int], label: str, marker: str, 
 
 
 def number_buses(axes: Axes, partition: Partition, layout: Layout, more: Sequence[int] = ()) -> None:
-    """The numbers of boundary buses, the substation and ``more``, whatever their size; of all where these are few.
+    """Write the numbers of boundary buses, the substation and ``more``; of all buses up to MAX_BUS_NAMES.
 
-    The layout of the figure is final then.
+    This fixes the layout of the figure.
     """
     figure, network = axes.figure, partition.network
     assert isinstance(figure, Figure)

@@ -1,4 +1,4 @@
-"""A picture of a network's areas: a one-line diagram, a colour for each area, boundary buses and substation marked."""
+"""Diagram of a network's areas: one-line, a colour for each area, boundary buses and substation marked."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ LONGEST_NAME = 24
 
 
 def draw_areas(partition: Partition, path: Path) -> None:
-    """Write a picture of the areas, in the format that the suffix of ``path`` names, such as ``.png``."""
+    """Write a figure of the areas, in the format of the suffix of ``path``, such as ``.png``."""
     with styled():
         figure = make_areas_figure(partition)
         save(figure, path.with_suffix(""), [path.suffix.removeprefix(".")])
 
 
 def make_areas_figure(partition: Partition) -> Figure:
-    """The figure; branches that close loops are dashed, and boundary buses have their numbers at any size."""
+    """Figure of the areas; branches that close loops are dashed, boundary buses always have their numbers."""
     network = partition.network
     layout = lay_out(network)
     figure, axes = new_diagram(layout, len(partition.boundaries))
@@ -68,7 +68,7 @@ def _rows_owned(partition: Partition, area: Area) -> list[int]:
 
 
 def choose_colours(partition: Partition) -> dict[str, str]:
-    """A colour for each area, another than those of the areas that it meets, as far as there are enough."""
+    """Area -> its colour, different from those of adjacent areas as far as there are enough colours."""
     chosen: dict[str, str] = {}
     meeting: dict[str, set[str]] = {area.name: set() for area in partition.areas}
     for names in partition.boundaries.values():
@@ -82,7 +82,7 @@ def choose_colours(partition: Partition) -> dict[str, str]:
 
 
 def _name_areas(axes: Axes, partition: Partition, layout: Layout, colours: dict[str, str]) -> None:
-    """The name of each area at the middle one, counted by distance, of the buses that it owns."""
+    """Write the name of each area at the middle one of the buses that it owns, in order of their columns."""
     for area in partition.areas:
         owned = sorted(_rows_owned(partition, area), key=lambda row: tuple(layout.place[row]))
         axes.annotate(

@@ -13,12 +13,12 @@ from coordinator.figures.bus_axis import label_buses, order_buses
 from coordinator.figures.style import CENTRALISED, DECENTRALISED, MAX_VECTOR, SKY, Drawing, new_figure
 from dsse_core.results.units import wrap_degrees
 
-BAND = 2.0  # standard deviations; of normal errors 95 % lie within
+BAND = 2.0  # standard deviations; 95 % of normal errors lie within
 PANELS = ("magnitude {} (p.u.)", "angle {} (degrees)")
 
 
 def draw_errors(outcome: RunOutcome) -> Drawing:
-    """Both estimates against the truth; the decentralised against the centralised one where there is no truth."""
+    """Figure of both estimates' errors; without a truth, of the decentralised estimate's gap to the centralised one."""
     comparison, order = outcome.comparison, order_buses(outcome.comparison.partition)
     known = comparison.knows_truth
     reference = comparison.truth if known else comparison.centralised
@@ -52,7 +52,7 @@ def _difference(of: str, one: object, other: object) -> np.ndarray:
 
 
 def _draw_band(axis: Axes, sigma: np.ndarray) -> None:
-    """Half a bus to both sides of each; nothing where none is known."""
+    """Draw the band over half a bus to both sides of each bus; no band where sigma is nan."""
     edges = np.arange(len(sigma) + 1) - 0.5
     half = BAND * np.append(sigma, sigma[-1:])
     axis.fill_between(
@@ -67,7 +67,7 @@ def _draw_marks(axis: Axes, values: np.ndarray, label: str, style: dict[str, Any
 
 
 def _count_inside(error: np.ndarray, sigma: np.ndarray) -> tuple[int, int]:
-    """How many of the buses whose error and deviation are known lie within the band, and of how many."""
+    """Number of buses with an error within the band, and number of buses with a known error and deviation."""
     known = ~np.isnan(error) & ~np.isnan(sigma)
     return int((abs(error[known]) <= BAND * sigma[known]).sum()), int(known.sum())
 

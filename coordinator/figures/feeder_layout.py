@@ -1,8 +1,9 @@
-"""Where to draw the buses of a feeder: a one-line diagram, the trunk in the middle, its laterals above and below.
+"""Layout of a feeder's one-line diagram: the trunk in the middle, its laterals above and below.
 
-Columns count branches from the substation. The longest way out of a bus goes on in its row; every other branch turns
-off into the nearest row that is free from there on outwards, so that no two lines cross. Branches that close loops
-play no part. The time grows linearly with the number of buses, since a lateral is never longer than what goes on.
+Columns count branches from the substation. The longest path outwards from a bus continues in its row. Every other
+branch turns off into the nearest row that is free from there outwards, so that no two lines cross. Branches that close
+loops are ignored. The time grows linearly with the number of buses, since a lateral is never longer than the path that
+continues.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from dsse_core.grid.network import Network
 
 @dataclass(frozen=True)
 class Layout:
-    """``place`` (n_bus, 2): column and row of each bus, in network order; ``upstream``: bus -> the next one inwards."""
+    """``place`` (n_bus, 2): column and row of each bus, in network order; ``upstream``: bus -> the next bus inwards."""
 
     place: np.ndarray
     upstream: dict[int, int]
 
 
 def lay_out(network: Network) -> Layout:
-    """Places of all buses of a network that its substation reaches."""
+    """Layout of a network, all of whose buses the substation reaches."""
     assert network.slack is not None
     root = network.slack.bus
     upstream = _walk(network, root)
@@ -44,7 +45,7 @@ def lay_out(network: Network) -> Layout:
     place = np.zeros((len(order), 2))
     for bus in order[1:]:
         column, row = place[network.row[upstream[bus]]]
-        sign = -1 if row < 0 else 1  # above the trunk everything is mirrored
+        sign = -1 if row < 0 else 1  # mirrored above the trunk
         place[network.row[bus]] = column + 1, row + sign * offset[bus]
     return Layout(place, upstream)
 
@@ -63,7 +64,7 @@ def _walk(network: Network, root: int) -> dict[int, int]:
 
 
 def _stack(order: list[int], children: dict[int, list[int]], trunk: set[int]) -> dict[int, int]:
-    """Bus -> how many rows it lies from the bus before it, below zero for what turns off upwards from the trunk."""
+    """Bus -> its rows from the bus before it; negative for a lateral that turns off upwards from the trunk."""
     offset = dict.fromkeys(order, 0)
     used: dict[int, list[list[int]]] = {}  # bus -> on each side the rows in use at its column (last), and farther out
     for bus in reversed(order):

@@ -1,4 +1,4 @@
-"""What a voltage profile is drawn against: distances from the substation, and the limits of magnitudes."""
+"""Axis and limits of a voltage profile: distances from the substation, and the band of magnitudes."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ OPERATION = (0.9, 1.1)  # p.u., unless the scenario states a band
 
 
 def find_distances(network: Network) -> tuple[np.ndarray, str]:
-    """The smallest sum of |r + jx| from the substation to each bus, (n_bus,), inf where no branch leads; its name.
+    """The smallest sum of |r + jx| from the substation to each bus, (n_bus,), inf where no branch leads; its label.
 
-    In ohm where all of the network has one voltage level, else in p.u.
+    The unit is ohm where the network has one voltage level, else p.u.
     """
     table = network.table
     assert network.slack is not None
@@ -27,7 +27,7 @@ def find_distances(network: Network) -> tuple[np.ndarray, str]:
     for f, t, z in zip(table.f.tolist(), table.t.tolist(), size.tolist(), strict=True):
         pair = (min(f, t), max(f, t))
         nearest[pair] = min(z, nearest.get(pair, np.inf))  # of parallel branches
-    ends = np.array(list(nearest), dtype=np.int32).reshape(-1, 2)  # as the oldest scipy walks them
+    ends = np.array(list(nearest), dtype=np.int32).reshape(-1, 2)  # int32, as the oldest supported scipy needs
     graph = coo_array((list(nearest.values()), (ends[:, 0], ends[:, 1])), shape=(n, n)).tocsr()
     found = dijkstra(graph, directed=False, indices=network.row[network.slack.bus])
     unit = "Ω" if ohm else f"p.u. on {network.base_mva:g} MVA"
@@ -35,7 +35,7 @@ def find_distances(network: Network) -> tuple[np.ndarray, str]:
 
 
 def find_limits(scenario: Scenario) -> tuple[float, float]:
-    """The band that the scenario states, p.u.; that of operation if it states none."""
+    """The band of magnitudes that the scenario states, p.u.; OPERATION if it states none."""
     limits = scenario.limits
     stated = (limits.lowest_vm, limits.highest_vm)
     return OPERATION if stated == (DEFAULT_LIMITS.lowest_vm, DEFAULT_LIMITS.highest_vm) else stated

@@ -1,4 +1,4 @@
-"""How the gap to the centralised estimate closes after a scan: both axes logarithmic, from the first message on."""
+"""Figure of the gap to the centralised estimate after a scan: both axes logarithmic, from the first state on."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from coordinator.figures.style import (
     write_instead,
 )
 
-SMALLEST = 1e-16  # p.u. and degrees: what a logarithmic axis shows for 0
+SMALLEST = 1e-16  # p.u. and degrees, stands for 0 on a logarithmic axis
 SHORTEST_S = 1e-6
 MAX_NAMED = 6  # areas
 MAX_POINTS = 2000  # of the line of all areas
@@ -36,11 +36,11 @@ PANELS = ("magnitude (p.u.)", "angle (degrees)")
 
 @dataclass(frozen=True)
 class GapCourse:
-    """How the gap of a run went: ``areas``: name -> (n_state, 3), ``all_areas``: (n, 3), the largest of all.
+    """Gap of a run over time. ``areas``: name -> (n_state, 3). ``all_areas``: (n, 3), the largest of all areas.
 
-    Columns: time since the scan (s), gap in magnitude (p.u.) and angle (degrees); nan where it is not known, of all
-    areas until each has published something. ``end_s``: the verdict. ``sigma``: the medians of the standard deviations
-    of all buses, in the same units: how much of the gap matters.
+    Columns: time since the scan (s), gap in magnitude (p.u.) and angle (degrees). A gap is nan where it is not known;
+    that of all areas, until each has published a state. ``end_s``: time of the verdict. ``sigma``: the medians of the
+    standard deviations of all buses, in the same units, as a scale for the gap.
     """
 
     areas: Mapping[str, np.ndarray]
@@ -53,13 +53,13 @@ class GapCourse:
 
     @property
     def first_s(self) -> float | None:
-        """When an area published the first state whose gap is known; None if none is."""
+        """Time of the first state with a known gap, s, at least SHORTEST_S; None if there is none."""
         known = [rows[~np.isnan(rows[:, 1:]).all(axis=1), 0] for rows in self.areas.values()]
         return min((max(float(times[0]), SHORTEST_S) for times in known if len(times)), default=None)
 
 
 def find_course(outcome: RunOutcome) -> GapCourse:
-    """The course of a run; time counts from its scan."""
+    """Gap of a run over time, which counts from its scan."""
     scan = outcome.timing_s.get("plant_started", 0.0)
     areas = {name: rows - (scan, 0, 0) for name, rows in gap_history(outcome).items()}
     end = outcome.timing_s["verdict"] - scan
@@ -76,7 +76,7 @@ def _median(values: np.ndarray) -> float:
 
 
 def _find_largest(areas: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The largest gap of all areas at each time at which one has published, at MAX_POINTS of them if there are more."""
+    """The largest gap of all areas at each time of a state, at MAX_POINTS of these times at most."""
     times = np.unique(np.concatenate([rows[:, 0] for rows in areas.values()] or [np.zeros(0)]))
     if len(times) > MAX_POINTS:
         times = times[np.unique(np.geomspace(1, len(times), MAX_POINTS).astype(int) - 1)]
@@ -89,7 +89,7 @@ def _find_largest(areas: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def draw_gap(outcome: RunOutcome) -> Drawing:
-    """Each area by itself, or many as grey lines, and the largest of all."""
+    """Figure of the gap of each area, in grey beyond MAX_NAMED areas, and of the largest of all."""
     course = find_course(outcome)
     figure, axes = new_figure(5.6, rows=2)
     few = len(course.areas) <= MAX_NAMED
@@ -111,7 +111,7 @@ def draw_gap(outcome: RunOutcome) -> Drawing:
 
 
 def draw_gaps_of(courses: Mapping[str, GapCourse]) -> Drawing:
-    """The largest gap of all areas of several runs, by strategy."""
+    """Figure of the largest gap of all areas in several runs, by strategy."""
     figure, axes = new_figure(5.6, rows=2)
     for column, axis in enumerate(axes, start=1):
         for number, (name, course) in enumerate(courses.items()):
@@ -141,13 +141,13 @@ def _draw_steps(
         label=label,
         marker=MARKERS[number % len(MARKERS)],
         markersize=4,
-        # the states, not the corners between them; or where it ends
+        # at states, not at the corners between them; or at the end of the line
         markevery=slice(0, max(len(x) - 2, 1), 2) if marked else slice(max(len(x) - 1, 0), None),
     )
 
 
 def _as_steps(rows: np.ndarray, column: int, end_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """A line that keeps each value until the next, the last until the end."""
+    """Points of a line that keeps each gap until the next state, the last until the end."""
     times = np.maximum(np.append(rows[:, 0], max(end_s, SHORTEST_S)), SHORTEST_S)
     if len(rows) == 0:
         return np.zeros(0), np.zeros(0)
@@ -156,8 +156,9 @@ def _as_steps(rows: np.ndarray, column: int, end_s: float) -> tuple[np.ndarray, 
 
 
 def _finish(axes: Sequence[Axes], courses: Sequence[GapCourse]) -> None:
-    """Logarithmic axes from before the first known gap to the verdict, and down from what meters leave unknown; or why
-    there is nothing to see.
+    """Set logarithmic axes from before the first known gap to the verdict, with the standard deviation as a line.
+
+    A panel without a known gap shows the reason instead.
     """
     first = min((course.first_s for course in courses if course.first_s is not None), default=None)
     for column, (axis, label) in enumerate(zip(axes, PANELS, strict=True), start=1):
@@ -180,7 +181,7 @@ def _finish(axes: Sequence[Axes], courses: Sequence[GapCourse]) -> None:
 
 
 def _scale_gaps(axis: Axes, sigma: float) -> None:
-    """From one power of ten to another, so that two at least have names; ``sigma`` as a line, if it is known."""
+    """Scale the axis between powers of ten, so that at least two have labels; ``sigma`` as a line, if it is known."""
     axis.set_yscale("log")
     if sigma > 0:
         axis.axhline(sigma, color=PURPLE, linestyle=(0, (5, 2)), linewidth=1.2, label="standard deviation (median bus)")

@@ -1,4 +1,4 @@
-"""Labels of points in a picture, each beside its point where nothing else stands, as far as there is room."""
+"""Labels of points in a figure, each beside its point in a free place, as far as there is room."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Box = tuple[float, float, float, float]  # left, bottom, right, top
 
 @dataclass
 class Room:
-    """The boxes that are taken, by cells, so that as many as there are points stay quick to ask for."""
+    """The boxes that are taken, by cells, so that a query looks at few of them."""
 
     _cells: dict[tuple[int, int], list[Box]] = field(default_factory=lambda: defaultdict(list))
 
@@ -33,7 +33,7 @@ class Room:
             self._cells[cell].append(box)
 
     def overlap(self, box: Box) -> float:
-        """How much of ``box`` is taken, pt²."""
+        """Sum of the overlaps of ``box`` with the taken boxes, pt²."""
         met = {other for cell in _cells_of(box) for other in self._cells.get(cell, ())}
         return sum(_common(box, other) for other in met)
 
@@ -43,8 +43,8 @@ def label_points(
 ) -> None:
     """Write ``texts`` beside ``places`` (n, 2), data coordinates; marks of ``obstacles`` (m, 2) stay free.
 
-    The layout of the figure must be final. What finds no room is written in the smallest letters where it hides least
-    if ``all_of_them`` are wanted, else left out.
+    The layout of the figure must be final. With ``all_of_them``, a text without a free place stands where it overlaps
+    least; otherwise it is left out.
     """
     if not texts:
         return
@@ -76,7 +76,7 @@ def label_points(
 
 
 def _find_place(room: Room, x: float, y: float, text: str, half: float) -> tuple[float, float, Box, str]:
-    """Overlap, size of the letters, box and alignment of the first place that is free, or of the freest."""
+    """Overlap, size of the letters, box and alignment at the first free place, or at the one with the least overlap."""
     best: tuple[float, float, Box, str] | None = None
     for size, distance, side in product(SIZES, (NEAR, FAR), SIDES):
         box = _box_at(x, y, text, size, half * distance + 1.0, side)

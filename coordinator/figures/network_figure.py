@@ -20,12 +20,12 @@ from coordinator.figures.feeder_layout import lay_out
 from coordinator.figures.style import GREY, Drawing
 
 COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.15, 0.95, 256)))
-"""Even steps of lightness, for all eyes and for print in grey; without the ends, which light and dark pages hide."""
+"""Even steps of lightness, also for the colour-blind and for grey print; without the ends, which pages would hide."""
 LEAST_SPAN = 0.01  # p.u. between the ends of the colours: a flat profile has one colour
 
 
 def draw_network(outcome: RunOutcome) -> Drawing:
-    """Each branch has the mean of its ends; what no area has estimated is grey."""
+    """Figure of the network; a branch has the colour of its ends' mean, grey where no area has an estimate."""
     partition, network = outcome.scenario.partition, outcome.scenario.network
     vm, layout = outcome.comparison.decentralised.vm, lay_out(network)
     known = np.flatnonzero(~np.isnan(vm))

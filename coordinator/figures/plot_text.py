@@ -1,4 +1,4 @@
-"""Names as pictures show them: as they are written, never as formulas."""
+"""Names for figures: drawn as they are written, never as formulas."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ LONGEST_TITLE = 120  # characters
 
 
 def plot_text(text: object, longest: int = LONGEST_TITLE) -> str:
-    """``text`` as matplotlib draws it letter by letter: what stands between two dollar signs would be mathematics."""
+    """``text`` for matplotlib to draw letter by letter; it would take text between dollar signs as mathematics."""
     return shortened(printable(text), longest).replace("$", r"\$")

@@ -24,7 +24,7 @@ from dsse_core.results.units import wrap_degrees
 
 
 def draw_magnitudes(outcome: RunOutcome) -> Drawing:
-    """The voltage profile with its limits."""
+    """Figure of the voltage profile with its limits."""
     low, high = find_limits(outcome.scenario)
     vm = outcome.comparison.decentralised.vm
     drawing = _draw(
@@ -43,7 +43,7 @@ def draw_magnitudes(outcome: RunOutcome) -> Drawing:
 
 
 def draw_angles(outcome: RunOutcome) -> Drawing:
-    """The same of angles, which have no limits."""
+    """Figure of the voltage angles, which have no limits."""
     return _draw(outcome, "angles", "Voltage angles", "voltage angle (degrees)", lambda v: wrap_degrees(v.va), ())
 
 

@@ -26,11 +26,11 @@ WORDS = {
     KIND.CURRENT: "current",
 }
 MAX_NAMED = 8  # removed meters
-SPREAD = 0.8  # of the place of a kind that its meters take
+SPREAD = 0.8  # part of a kind's width that its meters take
 
 
 def draw_residuals(outcome: RunOutcome) -> Drawing:
-    """Each meter's normalised residual; where areas and centralised estimate differ, residual by the meter's sigma."""
+    """Figure of each meter's normalised residual; where none is known, of |residual| / sigma of the meter."""
     meters = outcome.meters
     values, normalised = find_residuals(meters)
     removed = np.array([status == REMOVED for status in meters.status], dtype=bool)
@@ -62,7 +62,8 @@ def draw_residuals(outcome: RunOutcome) -> Drawing:
 
 
 def find_residuals(meters: Table) -> tuple[np.ndarray, bool]:
-    """Normalised residuals (n_meas,), nan where none is known, and True; if none is at all, |residual| / sigma."""
+    """Normalised residuals (n_meas,), nan where not known, and True; if none is known at all, |residual| / sigma and
+    False."""
     normalised = np.asarray(meters.normalised_residual)
     if not np.isnan(normalised).all():
         return normalised, True
@@ -71,7 +72,7 @@ def find_residuals(meters: Table) -> tuple[np.ndarray, bool]:
 
 
 def _find_places(meters: Table, kinds: list[KIND]) -> np.ndarray:
-    """Side by side within the place of each kind, in the order of the table."""
+    """Positions of meters on the axis, (n_meas,): side by side within the width of their kind, in the table's order."""
     places = np.full(len(meters), np.nan)
     for number, kind in enumerate(kinds):
         rows = [k for k, of in enumerate(meters.kind) if of == kind]

@@ -33,7 +33,7 @@ def save_figures(drawings: Sequence[Drawing], folder: Path, formats: Sequence[st
     """Write each figure in each of ``formats``: ``gap.png`` and so on; their paths.
 
     Raises:
-        OSError: one of them cannot be written.
+        OSError: a file cannot be written.
     """
     with styled():
         return tuple(path for each in drawings for path in save(each.figure, folder / each.name, formats))

@@ -1,7 +1,7 @@
-"""How figures look, in all formats, and how they are written: as files, and as SVG inside a page.
+"""Style of figures in all formats, and their output: as files, and as SVG inside a page.
 
-Colours are those of Okabe and Ito, distinct also for people who see colours differently; marks differ by shape. Text,
-axes and what is black on paper have the colour INK, in a page that of its text; so figures suit light and dark pages.
+Colours are those of Okabe and Ito, distinct for the colour-blind as well; marks differ by shape. Text, axes and other
+black parts have the colour INK, which becomes the page's text colour; so figures suit light and dark pages.
 """
 
 from __future__ import annotations
@@ -47,20 +47,20 @@ RC: dict[str, Any] = {
     "ytick.color": INK,
     "legend.edgecolor": GREY,
     "legend.facecolor": PAPER,
-    "figure.dpi": DPI,  # so that texts are measured once for layout and PNG
+    "figure.dpi": DPI,  # the same for layout and PNG, so that texts are measured once
     "figure.facecolor": PAPER,
     "savefig.facecolor": PAPER,
     "figure.titlesize": "medium",
     "grid.color": GREY,
-    "svg.fonttype": "none",  # text stays text, which can be searched and read aloud
-    "svg.hashsalt": "dsse",  # the same figure is the same file
+    "svg.fonttype": "none",  # text stays text for search and screen readers
+    "svg.hashsalt": "dsse",  # equal figures give equal files
     "pdf.fonttype": 42,
 }
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure with its name, that of its files, and what it shows in words: a ``title`` and a ``caption``."""
+    """A figure with its name, which its files have, and its ``title`` and ``caption``."""
 
     name: str
     title: str
@@ -69,32 +69,32 @@ class Drawing:
 
 
 def styled() -> Any:
-    """The context in which figures are drawn and written."""
+    """Context with the style, in which figures are drawn and written."""
     return mpl.rc_context(cast(Any, RC))
 
 
 def new_figure(height: float, rows: int = 1, width: float = WIDTH) -> tuple[Figure, list[Axes]]:
-    """A figure, inches, with ``rows`` axes above each other that share their x axis."""
+    """A figure, ``width`` by ``height`` inches, and its ``rows`` axes, one below the other with a shared x axis."""
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0].tolist()
     return figure, axes
 
 
 def format_power_of_ten(value: float, _position: float = 0) -> str:
-    """``10⁻⁴``, in letters: nothing that is to be set as a formula, which takes its time; "" for other values."""
+    """``10⁻⁴`` as plain text, faster than a formula; "" for values that are no power of ten."""
     exponent = round(math.log10(value)) if value > 0 else 0
     whole = math.isclose(value, 10.0**exponent, rel_tol=1e-6)
     return f"10{str(exponent).translate(SUPERSCRIPT)}" if whole else ""
 
 
 def write_instead(axis: Axes, words: str) -> None:
-    """``words`` in the middle of axes that have nothing to show."""
+    """Write ``words`` in the middle of axes without data."""
     axis.set_yticks([])
     axis.text(0.5, 0.5, words, transform=axis.transAxes, ha="center", va="center")
 
 
 def fix_layout(figure: Figure) -> None:
-    """Place everything once, however many formats are written then."""
+    """Compute the layout once, for all formats written later."""
     engine = figure.get_layout_engine()
     if isinstance(engine, ConstrainedLayoutEngine):
         engine.execute(figure)
@@ -105,7 +105,7 @@ def save(figure: Figure, path_without_suffix: Path, formats: Sequence[str]) -> t
     """Write the figure once for each of ``formats``; the paths.
 
     Raises:
-        OSError: one of them cannot be written.
+        OSError: a file cannot be written.
     """
     paths = tuple(path_without_suffix.with_name(f"{path_without_suffix.name}.{suffix}") for suffix in formats)
     fix_layout(figure)

@@ -45,7 +45,7 @@ class GatewayBus:
     guard: DuplicateGuard
 
     def watch(self, on_area: Callable[[str], None], on_state: Callable[[StateMessage], None] | None) -> None:
-        """In the running loop, call ``on_area`` with each area of the map that appears, ``on_state`` with each state."""
+        """Call ``on_area`` with each area of the map that appears and ``on_state`` with states, in the running loop."""
         loop, run = asyncio.get_running_loop(), self.content.run
 
         def later(callback: Callable[..., None], *arguments: Any) -> None:

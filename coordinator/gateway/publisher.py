@@ -56,7 +56,7 @@ class Publisher:
             self._publish(area, None)
 
     def _publish(self, area: str, repeats: int | None) -> None:
-        """Send the message of ``area``; ``repeats``: index in ``repeats_s`` of the wait for its repeat, None: no repeat."""
+        """Send the message of ``area``; ``repeats``: index in ``repeats_s`` of the wait before a repeat, None: none."""
         self._timers.pop(area, None)
         if (last := self._repeats.pop(area, None)) is not None:
             last.cancel()

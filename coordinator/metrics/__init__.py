@@ -1,1 +1,1 @@
-"""What a watcher sees, for Prometheus, and for programs that restart a system."""
+"""A watcher's view as metrics for Prometheus, and as health for programs that restart a system."""

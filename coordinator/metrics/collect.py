@@ -1,4 +1,4 @@
-"""What a watcher sees of a run as metrics of Prometheus, and whether it is healthy and ready. No bus, no clock."""
+"""A watcher's view of a run as metrics of Prometheus, and its health and readiness. No bus, no clock."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from agents.messages.packing import StateMessage
 from agents.protocol.quality import NONE, QUALITIES, STALE
 from coordinator.observe.view import AreaView, View
 
-LOOKED_LATELY_S = 10.0  # a picture that is older is nobody's: the loop of the process that makes them is stuck
+LOOKED_LATELY_S = 10.0  # an older sight means that the loop of the watching process is stuck
 
 
 @dataclass(frozen=True)
 class Sight:
-    """What a watcher knew at ``at``, s: ``view`` None before it was on a bus; ``trouble``: why it is on none now."""
+    """A watcher's knowledge at time ``at``, s. ``view``: None before the watcher has reached the bus. ``trouble``: the
+    reason that it is not on the bus now, empty if it is."""
 
     at: float
     view: View | None = None
@@ -26,20 +27,20 @@ class Sight:
     trouble: str = "has not reached the bus yet"
 
     def find_illness(self, now: float) -> tuple[str, ...]:
-        """Why the watcher itself sees nothing at ``now``; empty if it does."""
+        """Reasons that the watcher itself sees nothing at ``now``; empty if it sees the bus."""
         age = now - self.at
         stuck = (f"has not looked for {age:.0f} s",) if age > LOOKED_LATELY_S else ()
         return (*stuck, self.trouble) if self.trouble else stuck
 
     def find_obstacles(self, now: float) -> tuple[str, ...]:
-        """Why not every area that was ever seen shows a fresh state, in words; empty if each does."""
+        """Reasons that not every area seen so far has a fresh state, in words; empty if each has."""
         areas = self.view.areas if self.view else ()
         missing = () if areas else ("no area has been seen",)
         return (*self.find_illness(now), *missing, *(f"{a.name} {why}" for a in areas if (why := _find_lack(a))))
 
 
 def _find_lack(area: AreaView) -> str:
-    """Why the state of ``area`` is not fresh; empty if it is."""
+    """Reason that the state of ``area`` is not fresh; empty if it is."""
     if not area.present or area.silent or area.age_s is None:
         return f"is {area.state}"
     if area.quality not in (STALE, NONE):
@@ -48,7 +49,7 @@ def _find_lack(area: AreaView) -> str:
 
 
 def format_health(why_not: Iterable[str]) -> tuple[int, str]:
-    """HTTP status and JSON of a question that is answered by the reasons against it."""
+    """HTTP status and JSON body of a page: 200 without reasons in ``why_not``, else 503 with them."""
     reasons = list(why_not)
     return (503 if reasons else 200), json.dumps({"ok": not reasons, "why": reasons}) + "\n"
 
@@ -82,7 +83,7 @@ GAUGES_BY_NEIGHBOUR = {
 
 
 class RunCollector:
-    """Collector of ``prometheus_client`` that shows ``sight``, which the watcher replaces."""
+    """Collector of ``prometheus_client`` for ``sight``, which the page replaces at each look."""
 
     def __init__(self) -> None:
         self.sight = Sight(float("-inf"))
@@ -114,7 +115,7 @@ def _list_others(view: View) -> Iterator[Metric]:
 
 
 def _list_areas(view: View, states: Mapping[str, StateMessage]) -> Iterator[Metric]:
-    """Metrics of all areas; what an area has never published is absent."""
+    """Metrics of all areas; quantities that an area has never published are absent."""
     gauges = {name: GaugeMetricFamily(f"dsse_area_{name}", text, labels=["area"]) for name, text in GAUGES.items()}
     counters = {
         name: CounterMetricFamily(f"dsse_area_{name}", text, labels=["area"]) for name, text in COUNTERS.items()
@@ -144,7 +145,7 @@ def _list_areas(view: View, states: Mapping[str, StateMessage]) -> Iterator[Metr
 
 
 def _numbers_of(area: AreaView, state: StateMessage | None) -> dict[str, float]:
-    """Gauges of one area, without those of which nothing is known."""
+    """Gauges of one area, without unknown ones."""
     known = {"present": float(area.present), "state_age_seconds": area.age_s}
     if state is not None:
         known |= {

@@ -1,4 +1,4 @@
-"""The pages /metrics, /health and /ready over HTTP, for Prometheus, and for programs that restart or alarm."""
+"""The pages /metrics, /health and /ready over HTTP, for Prometheus, and for programs that restart a system or alarm."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ PLAIN = "text/plain; charset=utf-8"
 
 
 class MetricsPage:
-    """Answers at ``host``:``port`` on a thread of its own, from the newest sight shown, until its block ends.
+    """HTTP server at ``host``:``port`` on its own thread, which answers from the newest sight until its block ends.
 
-    ``names``: of this host, under which it is asked for beyond loopback, beside its addresses.
+    ``names``: names of this host that requests beyond loopback may use, beside its addresses.
     """
 
     def __init__(self, host: str, port: int, names: Iterable[str] = ()) -> None:
@@ -54,13 +54,13 @@ class MetricsPage:
         self._thread = threading.Thread(target=self._run, name="metrics page", daemon=True)
 
     def show(self, watcher: Watcher, now: float, trouble: str) -> None:
-        """Answer with what ``watcher`` knows at ``now``; ``trouble``: why it sees nothing, empty if it does."""
+        """Answer from now on with the view of ``watcher`` at ``now``; ``trouble``: why there is no link, else empty."""
         view = watcher.look(now)
         states = {area.name: state for area in view.areas if (state := watcher.state_of(area.name))}
         self._collector.sight = Sight(now, view, states, trouble)
 
     def show_trouble(self, now: float, trouble: str) -> None:
-        """Answer with nothing but ``trouble``, of ``now``."""
+        """Answer from now on with ``trouble`` alone, found at ``now``."""
         self._collector.sight = Sight(now, trouble=trouble)
 
     def __enter__(self) -> Self:
@@ -86,7 +86,7 @@ class MetricsPage:
             connection.end()
 
     def _answer(self, method: str, target: str, headers: Iterable[tuple[str, str]]) -> tuple[Answer, Mapping[str, str]]:
-        """The answer to a request, and headers of its own."""
+        """The answer to a request, and additional headers."""
         if found := self._front.find_rejection(method, headers):
             return (found.status, PLAIN, found.text.encode()), found.headers
         pages: dict[str, Callable[[], Answer]] = {
@@ -98,7 +98,7 @@ class MetricsPage:
         return (page() if page else (404, PLAIN, f"here are {', '.join(pages)}\n".encode())), {}
 
     def _write_metrics(self) -> bytes:
-        """The metrics of the newest sight, written once however often they are asked for."""
+        """The metrics of the newest sight, as text; written once for each sight."""
         sight = self._collector.sight
         if self._written is None or self._written[0] is not sight:
             self._written = sight, generate_latest(self._registry)
@@ -110,8 +110,8 @@ def _as_answer(status: int, body: str) -> Answer:
 
 
 class _Connection(asyncio.Protocol):
-    """One request and its answer. A connection is closed on which no whole request comes in time, or whose reader takes
-    nothing for long; where there are too many, the one that is silent longest.
+    """Connection with one request and its answer. It is closed where the request is not complete in time, or the reader
+    does not receive the answer in time. Of too many connections, the one silent longest is closed.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class _Connection(asyncio.Protocol):
         self._deadline = asyncio.get_running_loop().call_later(REQUEST_S, self.end)
 
     def end(self) -> None:
-        """Close it at once, without a word."""
+        """Close the connection at once, without an answer."""
         self._connections.discard(self)
         self._transport.abort()
 
@@ -154,7 +154,7 @@ class _Connection(asyncio.Protocol):
             self._deadline.cancel()
             self._deadline = asyncio.get_running_loop().call_later(PATIENCE_S, self.end)
             self._transport.write(self._find_answer(self._received[:end].decode("latin-1")))
-            self._transport.close()  # once all of it is taken
+            self._transport.close()  # once the reader has received all
 
     def _find_answer(self, head: str) -> bytes:
         """The answer to a request with this head, as bytes."""

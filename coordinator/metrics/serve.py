@@ -1,4 +1,4 @@
-"""The process of ``dsse metrics``: attaches to the bus as often as it must, looks, and has a page show what it sees."""
+"""The process of ``dsse metrics``: attaches to the bus, with retries, and shows the watcher's view on a page."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ class Attached(Protocol):
     """A watcher on the bus, of ``coordinator/cli/live/session.py``."""
 
     def is_linked(self) -> bool:
-        """Whether the bus is there."""
+        """True where the link to the bus is up."""
         ...
 
     def renew(self) -> None:
-        """Take up the keys that are in the files now."""
+        """Load the keys from their files again."""
         ...
 
     def for_whole(self, duration_s: float) -> Watcher:
-        """Take in what arrives within ``duration_s``, and return after that."""
+        """Take in the messages of ``duration_s``, and return the watcher after that time."""
         ...
 
 
 def check_prometheus() -> None:
-    """That metrics can be written.
+    """Check that metrics can be written.
 
     Raises:
         InvalidInputError: prometheus-client is not installed.
@@ -54,12 +54,12 @@ def check_prometheus() -> None:
 
 
 def serve_metrics(page: MetricsPage, attach: Callable[[], AbstractContextManager[Attached]], renews: bool) -> None:
-    """Show on ``page`` what is seen of a run, until SIGTERM or Ctrl-C; with ``renews`` SIGHUP takes up new keys.
+    """Show the view of a run on ``page``, until SIGTERM or Ctrl-C; with ``renews`` SIGHUP loads the keys again.
 
-    ``attach`` is called again until it succeeds: the system may be started later.
+    ``attach`` is called again until it succeeds, since the system may start later.
 
     Raises:
-        InvalidInputError: of ``attach``: keys that cannot be used.
+        InvalidInputError: from ``attach``: the keys cannot be used.
     """
     inbox, watchdog = Inbox(), Watchdog()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -83,7 +83,7 @@ def serve_metrics(page: MetricsPage, attach: Callable[[], AbstractContextManager
 
 
 def _look_on(page: MetricsPage, look: Attached, inbox: Inbox, watchdog: Watchdog) -> None:
-    """Look again and again, until something says to stop."""
+    """Look every LOOK_S and show the view, until a signal to stop."""
     linked = True
     while None not in (updates := inbox.take(0.0)):
         if Renewal.ASKED in updates:

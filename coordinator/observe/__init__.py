@@ -1,1 +1,1 @@
-"""What is known of areas from outside: presence, states, events, progress."""
+"""Areas as seen from outside: presence, states, events, progress."""

@@ -1,4 +1,4 @@
-"""What flows in one area: tables of the state that it publishes and of the network in its area file."""
+"""Flows in one area: tables from the state that the area publishes and the network in its area file."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ MOST_NAMED = 12
 def make_area_flows(area: Area, state: StateMessage) -> tuple[Table, Table]:
     """Buses and branches that the area sees, in kV, kW, kvar and A.
 
-    The state tells voltages and their standard deviations; those of all else, and true values, are not known. What a
-    boundary bus injects is what comes to it from outside of the area, too. Angles that count from nowhere are nan;
-    flows are known all the same.
+    The state has voltages and their standard deviations; those of all other quantities, and true values, are nan. The
+    injection of a boundary bus includes the flows from outside the area. Angles without the substation's reference are
+    nan; flows are known even then.
 
     Raises:
         InvalidInputError: the state has other buses than the area.

@@ -1,4 +1,4 @@
-"""Areas and plants that run twice, as who watches presence tokens finds them: two incarnations of one name at once."""
+"""Areas, plants and gateways that run twice, found by presence tokens: two incarnations of one name at once."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from agents.messages.packing import Incarnation
 from agents.runtime.duplicate_guard import GIVES_WAY
 from agents.runtime.presence import MAX_INCARNATIONS
 
-SURE_S, SURE_HEARTBEATS = 2.5, 10.0  # the larger: when the bus must have noticed a death, and nobody has given way yet
+SURE_S, SURE_HEARTBEATS = 2.5, 10.0  # the larger: the bus notices a death in this time, and the older one gives way
 NOUNS = {"area": "agents of area {}", "plant": "plants", "gateway": "gateways {}"}
 
 
@@ -27,16 +27,16 @@ class Duplicate:
 
 
 def describe_duplicate(role: str, name: str, incarnations: tuple[str, ...]) -> str:
-    """In a sentence; ``incarnations``: from the oldest to the newest."""
+    """The duplicate in a sentence; ``incarnations``: from the oldest to the newest."""
     who = NOUNS[role].format(name)
     return f"{len(incarnations)} {who} publish at once: {' and '.join(incarnations)}; the newest one counts"
 
 
 class Duplicates:
-    """Finds each duplicate once, when it is sure: the older one says that it gives way, or both are there for long.
+    """Finds each duplicate once, when it is sure: the older process says that it gives way, or both tokens last.
 
-    A process that was killed and started again is none: its former token may be there for a while, and no longer.
-    ``found``: all up to now.
+    A process that was killed and started again is no duplicate: its former token vanishes after a while.
+    ``found``: all duplicates up to now.
     """
 
     def __init__(self, heartbeat_s: float) -> None:
@@ -47,7 +47,9 @@ class Duplicates:
         ] = {}  # role and name -> incarnation -> first seen, s
 
     def take(self, key: str, alive: bool, now: float, leave_reason: str = "") -> Duplicate | None:
-        """Note that the token on ``key`` appeared or vanished; ``leave_reason``: the leave message before."""
+        """Note that the token on ``key`` appeared or vanished; the duplicate that this proves, if any.
+
+        ``leave_reason``: of the process's leave message, empty without one."""
         whose, incarnation = name_of_live(key), incarnation_of(key)
         if incarnation is None or whose[0] not in NOUNS:
             return None
@@ -55,7 +57,7 @@ class Duplicates:
         if alive and len(incarnations) < MAX_INCARNATIONS:
             incarnations.setdefault(incarnation, now)
         elif not alive:
-            incarnations.pop(incarnation, None)  # gone already, if the end of the token has overtaken the leave message
+            incarnations.pop(incarnation, None)  # absent already if the token's end has overtaken the leave message
             newest = max(incarnations, default=incarnation)
             return (
                 self._note(whose, incarnation, newest) if newest > incarnation and leave_reason == GIVES_WAY else None
@@ -63,7 +65,7 @@ class Duplicates:
         return None
 
     def find_lasting(self, now: float) -> list[Duplicate]:
-        """Those that have been there together for long, and were not reported yet."""
+        """The duplicates whose tokens have been present together for long, and that are not in ``found`` yet."""
         found = []
         for whose, incarnations in self._since.items():
             if len(incarnations) > 1:

@@ -1,7 +1,7 @@
-"""``events.jsonl``: what happened in a run, one JSON object a line, written at once.
+"""``events.jsonl``: the events of a run, one JSON object a line, written at once.
 
-A part that has become large is followed by ``events-1.jsonl`` and so on. The first, which tells of all processes of the
-run, stays, and so do the newest.
+A part that has become large is followed by ``events-1.jsonl`` and so on. The first part, which names all processes of
+the run, is kept, and so are the newest MOST_PARTS.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ MOST_PARTS = 16  # beside the first
 class EventLog:
     """Appends events to ``path``; ``time`` in each is seconds since ``started`` on the monotonic clock.
 
-    A run does not end because its events cannot be written, on a full disk for instance: ``failure`` says why they
-    could not be.
+    A run goes on where its events cannot be written, on a full disk for instance. ``failure``: the first reason, None
+    if all are written.
     """
 
     def __init__(self, path: Path, started: float, part_bytes: int = PART_BYTES, most_parts: int = MOST_PARTS) -> None:

@@ -1,4 +1,4 @@
-"""Tables of what areas publish: with the network in the units of its engineers, without it as far as the bus tells."""
+"""Tables of the states and readings that areas publish: in the units of engineers with a scenario, else in p.u."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from scenarios.scenario import Scenario
 
 States = Mapping[str, StateMessage]
 ReadingsByArea = Mapping[str, ReadingsMessage]
-Columns = dict[str, Any]  # as of a table: arrays of numbers, lists or tuples of texts
+Columns = dict[str, Any]  # name -> column of a table: array of numbers, list or tuple of texts
 RELATIVE = "age_s", "residual_in_sigmas", "normalised_residual"  # columns without a unit of the meter
 USED, REMOVED, CRITICAL, SILENT, OFF = "used", "removed", "critical", "silent", "off"
-UNKNOWN = "not received"  # what its area has used: for up to 10 s after a watcher begins to listen
+UNKNOWN = "not received"  # the readings of its area, for up to 10 s after a watcher begins to listen
 
 
 def list_buses(states: States) -> Table:
@@ -44,17 +44,17 @@ def list_buses(states: States) -> Table:
 
 
 def list_meters(states: States, readings: ReadingsByArea) -> Table:
-    """A row for each meter that an area has used, or left out, in its last scan; p.u. and rad.
+    """A row for each meter that an area has used, or that is off, in its last scan; p.u. and rad.
 
-    ``residual_in_sigmas``: reading - estimate in standard deviations of the reading, ``normalised_residual``: its
-    magnitude in those of its own; nan where it is not known, as of a meter that is left out.
-    ``age_s``: at the tick of the scan.
+    ``residual_in_sigmas``: (reading - estimate) / standard deviation of the reading. ``normalised_residual``:
+    |reading - estimate| / standard deviation of the residual. Both are nan where not known, as for a meter that is off.
+    ``age_s``: age of the reading at the tick of the scan.
     """
     return Table("meters", collect_readings(states, readings))
 
 
 def collect_readings(states: States, readings: ReadingsByArea) -> Columns:
-    """The columns of ``list_meters``, for who makes them a few times a second."""
+    """The columns of ``list_meters``, without the cost of a table, for callers that ask several times a second."""
     texts: dict[str, list[str]] = {name: [] for name in ("meter", "area", "status")}
     names = "reading", "sigma", "estimate", "normalised_residual", "age_s"
     numbers: dict[str, list[float]] = {name: [] for name in names}
@@ -74,19 +74,19 @@ def collect_readings(states: States, readings: ReadingsByArea) -> Columns:
         numbers["normalised_residual"] += (*used.normalised, *unknown, *gap)
         numbers["age_s"] += (used.taken_at - np.array(used.times, dtype=float)).clip(0.0).tolist() + gap
     found = {name: np.array(column, dtype=float) for name, column in numbers.items()}
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # of a hostile area
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # values of a hostile area
         found["residual_in_sigmas"] = (found["reading"] - found["estimate"]) / found["sigma"]
     return {**texts, **found}
 
 
 def worst_first(meters: Table) -> Table:
-    """The same rows, the farthest from the estimate first; what is not known comes last."""
+    """The same rows, the largest normalised residual first; unknown residuals come last."""
     columns = {name: meters[name] for name in meters.columns}
     return Table("meters", pick_rows(columns, order_worst_first(columns)))
 
 
 def order_worst_first(meters: Columns, most: int | None = None) -> np.ndarray:
-    """The rows in the order of ``worst_first``, the first ``most`` of them."""
+    """Row numbers in the order of ``worst_first``, the first ``most`` of them."""
     order = -meters["normalised_residual"]
     found = np.arange(len(order))
     if most is not None and most < len(order) and not np.isnan(last := np.partition(order, most)[most]):
@@ -107,10 +107,11 @@ def _status_of(state: StateMessage | None) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class _MeterRows:
-    """What stays the same in a table of meters while the same ones have readings.
+    """Parts of a table of meters that stay the same while the same meters have readings.
 
-    ``of``: meters and areas of the readings; ``known``: which of them are of the grid; ``size``: of their units;
-    ``columns``: of those and, below, of meters without a reading, whose areas ``silent_areas`` are.
+    ``of``: meters and areas of the readings. ``known``: rows of the readings whose meters are in the scenario;
+    ``are_all``: True if all are. ``size``: sizes of the units of these meters. ``silent_areas``: areas of the meters
+    without a reading. ``columns``: of the meters in ``known``, then of those without a reading.
     """
 
     of: tuple[list[str], list[str]]
@@ -123,7 +124,7 @@ class _MeterRows:
 
 @dataclass(frozen=True)
 class GridTables:
-    """Tables of a grid that is known: the same columns as everywhere else, in kV, kW, kvar, A and degrees."""
+    """Tables of the grid of ``scenario``, with the columns of a run's results, in kV, kW, kvar, A and degrees."""
 
     scenario: Scenario
     _last_rows: list[_MeterRows] = field(default_factory=list, repr=False, compare=False)
@@ -134,7 +135,7 @@ class GridTables:
         return self.scenario.partition
 
     def buses_and_branches(self, states: States) -> tuple[Table, Table]:
-        """A bus is as its owner says, a branch as the area that holds it; what is not known is nan."""
+        """Buses by the states of their owners, branches by those of the areas that hold them; nan where not known."""
         fitting = {area.name: own for area in self.partition.areas if (own := self._fitting(area.name, states))}
         state = join_states(self.partition, {name: self._voltages_of(name, s) for name, s in fitting.items()})
         n, owners = len(state.vm), self.partition.owner_of_bus
@@ -151,13 +152,14 @@ class GridTables:
         return buses, make_branch_table(state.network, state.branches, state.flows)
 
     def meters(self, states: States, readings: ReadingsByArea) -> Table:
-        """As ``list_meters``, readings in their ``unit``, and a row for each meter of which no reading is
-        known: ``silent`` where its area has published what it used.
+        """Table of ``list_meters`` with readings in their ``unit``, and a row for each meter without a known reading.
+
+        The status of such a meter is ``silent`` where its area has published its readings, else ``not received``.
         """
         return Table("meters", self.collect_meters(states, readings))
 
     def collect_meters(self, states: States, readings: ReadingsByArea) -> Columns:
-        """The columns of ``meters``, for who makes them a few times a second."""
+        """The columns of ``meters``, without the cost of a table, for callers that ask several times a second."""
         plain = collect_readings(states, readings)
         rows = self._find_rows(plain["meter"], plain["area"])
         gap = np.full(len(rows.silent_areas), np.nan)
@@ -170,7 +172,7 @@ class GridTables:
         return {**rows.columns, "status": status + silent, **scaled, **relative}
 
     def _find_rows(self, meters: list[str], areas: list[str]) -> _MeterRows:
-        """Found anew only where other meters have readings than when it was asked for last."""
+        """The rows for these readings; computed again only where other meters have readings than at the last call."""
         last = self._last_rows[0] if self._last_rows else None
         if last is not None and last.of == (meters, areas):
             return last
@@ -209,13 +211,13 @@ class GridTables:
         return {meter.id: area for area, own in by_area.items() for meter in own}
 
     def _fitting(self, area: str, states: States) -> StateMessage | None:
-        """The state of ``area`` if it is about its buses: a stranger's may be about others."""
+        """The state of ``area`` if its buses are the area's; None for an estimate of other buses, or none."""
         state = states.get(area)
         own = self.partition.area(area).network.row
         return state if state is not None and state.buses and own.keys() == set(state.buses) else None
 
     def _order_of(self, area: str, buses: tuple[int, ...]) -> np.ndarray:
-        """Where among ``buses``, as the area says them, each bus of its network is, (n_bus,)."""
+        """Position in ``buses``, the order of the area's state, of each bus of its network, (n_bus,)."""
         if self._last_order.get(area, ((), None))[0] != buses:
             place = {bus: k for k, bus in enumerate(buses)}
             found = [place[bus] for bus in self.partition.area(area).network.row]

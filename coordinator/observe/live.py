@@ -15,24 +15,24 @@ from coordinator.interrupts import Held
 from coordinator.observe.progress import Progress
 from dsse_core.printable import printable, shortened
 
-LONGEST_CELL = 300  # characters of a sentence; `dsse watch --json` and the verdict have them whole
+LONGEST_CELL = 300  # characters of a sentence; `dsse watch --json` and the verdict have it in full
 
 
 @contextmanager
 def live_table(title: str) -> Iterator[Callable[[Progress], None]]:
-    """A function that shows a run's progress in place; the table vanishes with the block, the verdict follows it."""
+    """A function that shows a run's progress in place; the table vanishes at the end of the block."""
     console = Console(stderr=True)
     with Live(console=console, auto_refresh=False, transient=True) as live:
 
         def update(progress: Progress) -> None:
-            with Held():  # a table that is drawn in part stays on the screen, and the next one begins in its last line
+            with Held():  # an interrupted drawing stays on the screen, and the next one begins in its last line
                 live.update(build_table(title, progress), refresh=True)
 
         yield update
 
 
 def build_table(title: str, progress: Progress) -> Table:
-    """The areas at one moment; mismatches are the largest with a neighbour at a boundary bus."""
+    """Table of the areas at one moment; mismatches are the largest with a neighbour at a boundary bus."""
     waiting = shortened(f"waits: {progress.obstacles[0]}", LONGEST_CELL) if progress.obstacles else "consensus"
     more = f" (and {len(progress.obstacles) - 1} more)" if len(progress.obstacles) > 1 else ""
     table = _new_table(f"{title}   {progress.elapsed_s:.1f} s", waiting + more)

@@ -1,11 +1,14 @@
-"""What the coordinator knows of a run, and whether the areas agree. No bus, no clock, no centralised result.
+"""Observer of a run for the coordinator: the areas' states, and the test of consensus. No bus, no clock, no centralised
+result.
 
 Consensus: every area is alive, has an estimate of the current scan whose angles count from the substation,
-agrees with the others at every boundary bus and has received the last messages of its neighbours. Areas show
-themselves at rest, and only a new message can wake them: when all messages sent have been received, no more will
-follow. After a restart, whose messages are numbered from one again, and after whatever else the scenario did to
-processes or links, nothing must have changed for two heartbeats besides, of which every area has repeated itself, and
-every area must have received its telemetry since: estimates that the areas agree on may have lost their plant.
+agrees with the others at every boundary bus and has received the last messages of its neighbours. Areas publish
+their states at rest, and only a new message can wake them: when all messages sent have been received, no more will
+follow.
+
+Two more conditions hold after a restart, whose messages are numbered from one again, and after any other fault of
+processes or links that the scenario makes. Nothing has changed for two heartbeats, in which every area has repeated its
+state. Every area has received telemetry since the fault, as areas may agree on estimates after the plant is lost.
 """
 
 from __future__ import annotations
@@ -25,17 +28,17 @@ from dsse_core.grid.partition import Partition
 from dsse_core.printable import printable
 
 QUIET_HEARTBEATS = 2
-SETTLING_HEARTBEATS = 3  # after the last change; whatever is not good then stays so, or messages are lost all the time
+SETTLING_HEARTBEATS = 3  # after the last change; a quality not good by then stays so, unless messages are lost
 MAX_NAMED = 12  # areas
-LEAST_DEAD_END_S = 5.0  # of waiting for telemetry: on a busy machine the plant may have to wait for its turn
+LEAST_DEAD_END_S = 5.0  # of waiting for telemetry: on a busy machine the plant may be late
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """How a run stands.
+    """Distance of a run from consensus.
 
-    ``obstacles``: what is missing to consensus, in words that name areas and buses; empty at consensus.
-    ``dead_end``: why waiting helps no more, if it does not.
+    ``obstacles``: the missing conditions of consensus, in words that name areas and buses; empty at consensus.
+    ``dead_end``: the reason that consensus can no longer come by waiting; None while it can.
     """
 
     obstacles: tuple[str, ...]
@@ -66,7 +69,7 @@ class _Watched:
     state: StateMessage | None = None
     buses: tuple[int, ...] = ()  # of the last state with an estimate
     received_at: float = -math.inf
-    repeats: int = 0  # of the state, since change number ``change``, the last anywhere that it knows of
+    repeats: int = 0  # of the state since change number ``change``, the newest of any area when the last repeat came
     change: int = 0
 
 
@@ -75,9 +78,9 @@ class Observer:
     """Takes in states and presence of areas with the time of their arrival.
 
     Args:
-        tolerance_va, tolerance_vm: within which areas agree at a boundary bus, rad and p.u.
-        heartbeat_s: interval at which areas repeat themselves.
-        compare_magnitudes: whether the strategy reconciles voltage magnitudes at all.
+        tolerance_va, tolerance_vm: largest mismatch of areas that agree at a boundary bus, rad and p.u.
+        heartbeat_s: interval at which areas repeat their states.
+        compare_magnitudes: True where the strategy reconciles voltage magnitudes.
     """
 
     partition: Partition
@@ -93,11 +96,11 @@ class Observer:
         self._buses = {area.name: area.network.table.bus_id for area in self.partition.areas}
         self._states: dict[str, StateMessage] = {}
         self._changes = 0
-        self._disturbed_at = -math.inf  # when the last disturbance came, if any did
+        self._disturbed_at = -math.inf  # time of the last disturbance
 
     @property
     def states(self) -> Mapping[str, StateMessage]:
-        """The newest state of every area that has shown one."""
+        """The newest state of every area that has published one."""
         return self._states
 
     @property
@@ -107,11 +110,11 @@ class Observer:
 
     @property
     def exchanges(self) -> int:
-        """The most changed messages on one directed link, load and boundary messages together."""
+        """The largest number of changed messages on one directed link, load and boundary messages together."""
         return max((count_exchanges(state) for state in self.states.values()), default=0)
 
     def take_state(self, state: StateMessage, now: float) -> bool:
-        """Keep ``state`` if it is as new as the area's last; whether it says something new."""
+        """Keep ``state`` if it is at least as new as the area's last; True where it differs from that."""
         watched = self._watched.get(state.header.sender)
         if watched is None or not self._is_of_its_area(state):
             return False
@@ -137,12 +140,12 @@ class Observer:
         return True
 
     def _is_of_its_area(self, state: StateMessage) -> bool:
-        """Whether it is about the area's own buses, or about none yet."""
+        """True where the state's buses are those of its area, or the state has no estimate."""
         own = self._buses[state.header.sender]
         return not state.buses or np.array_equal(np.sort(read_ids(state.buses)), np.sort(own))
 
     def take_presence(self, area: str, alive: bool, now: float) -> bool:
-        """Note that an area's token appeared or vanished; whether that is new."""
+        """Note that an area's token appeared or vanished; True where this is a change."""
         watched = self._watched.get(area)
         if watched is None or watched.alive == alive:
             return False
@@ -153,12 +156,12 @@ class Observer:
         return True
 
     def take_fault(self, now: float) -> None:
-        """Note that the scenario has done something: an area seen before may be dead, which is not reported yet."""
+        """Note a fault that the scenario has made: an area may be dead, although its token has not vanished yet."""
         self._disturbed_at = now
         self._note_change(now)
 
     def assess_area(self, area: str, now: float) -> Assessment:
-        """Quality of the area's last state at time ``now``, and why: stale once it is gone or has long sent nothing."""
+        """Quality of the area's last state at time ``now``, with reasons; stale once the area is gone or silent."""
         watched = self._watched[area]
         if watched.state is None:
             return assess_from_outside(None, "")
@@ -168,7 +171,9 @@ class Observer:
         return assess_from_outside(watched.state, silence, tuple(self._find_disputes(area)))
 
     def _find_disputes(self, area: str) -> Iterator[str]:
-        """Where neighbours publish another voltage for the same scan: one of them has received false numbers."""
+        """Sentences on boundary buses where a neighbour publishes another voltage for the same scan.
+
+        One of the two areas has received false numbers."""
         for bus, names in self.partition.boundaries.items():
             if area not in names:
                 continue
@@ -181,22 +186,22 @@ class Observer:
                     yield from self._find_disagreements(bus, [area, other])
 
     def quality_of(self, area: str, now: float) -> str:
-        """The quality alone."""
+        """Quality of the area's last state at time ``now``, without reasons."""
         return self.assess_area(area, now).quality
 
     def standing(self, now: float) -> Standing:
-        """What is missing to consensus at time ``now``, and whether it can still come."""
+        """The missing conditions of consensus at time ``now``, and the reason if it can no longer come."""
         if disunity := self._find_disunity(now):
             return Standing(tuple(disunity), self._find_unobservable(now))
         ages = self._find_cut_off(now)
         obstacles = tuple(f"{name} has received no telemetry for {age:.1f} s" for name, age in ages.items())
-        if now - self.changed_at < SETTLING_HEARTBEATS * self.heartbeat_s:  # areas learn that their neighbours are done
+        if now - self.changed_at < SETTLING_HEARTBEATS * self.heartbeat_s:  # neighbours' rest not known yet
             qualities = {name: self.quality_of(name, now) for name in self._watched}
             obstacles += tuple(f"{name} is {quality}" for name, quality in qualities.items() if quality != GOOD)
         return Standing(obstacles, self._find_dead_end(ages))
 
     def _find_unobservable(self, now: float) -> str | None:
-        """That the readings of this scan do not determine the state, if all areas have found that long ago."""
+        """Sentence that the readings of this scan do not determine the state; else None."""
         if any(self.quality_of(name, now) != UNOBSERVABLE for name in self._watched):
             return None
         if now - self.changed_at < self._longest_wait_s:
@@ -206,11 +211,13 @@ class Observer:
 
     @property
     def _longest_wait_s(self) -> float:
-        """After which waiting helps no more."""
+        """Age of telemetry, or of the last change, after which waiting helps no more, s."""
         return max(PATIENCE_HEARTBEATS * self.heartbeat_s, LEAST_DEAD_END_S)
 
     def _find_dead_end(self, ages: Mapping[str, float]) -> str | None:
-        """Why waiting helps no more, if it does not: the areas agree, on estimates that have been stale for long."""
+        """Sentence that the areas agree on estimates that have been stale for long; None while waiting may help.
+
+        ``ages``: area -> time since its last telemetry, s, of those that lack it."""
         if not ages or min(ages.values()) < self._longest_wait_s:
             return None
         named = ", ".join(list(ages)[:MAX_NAMED]) + (f" and {len(ages) - MAX_NAMED} more" * (len(ages) > MAX_NAMED))
@@ -220,7 +227,7 @@ class Observer:
         )
 
     def _find_cut_off(self, now: float) -> dict[str, float]:
-        """Areas that are stale, or have received no telemetry since the last disturbance -> for how long, s."""
+        """Area -> time since its last telemetry, s; for areas stale or without telemetry since the last disturbance."""
         found = {}
         for name, watched in self._watched.items():
             state = watched.state
@@ -232,7 +239,7 @@ class Observer:
         return found
 
     def _find_disunity(self, now: float) -> list[str]:
-        """What is missing to agreement, whatever the quality of the estimates."""
+        """The missing conditions of agreement, in words; the quality of the estimates does not count here."""
         states, scan, obstacles = self.states, self.scan, []
         for name, watched in self._watched.items():
             obstacle = self._find_area_obstacle(name, watched, scan)
@@ -250,7 +257,7 @@ class Observer:
         return obstacles
 
     def _is_quiet(self, now: float) -> bool:
-        """Whether nothing has changed for so long that every area must have repeated itself."""
+        """True where nothing has changed for QUIET_HEARTBEATS, and every area has repeated its state as often."""
         if now - self.changed_at < QUIET_HEARTBEATS * self.heartbeat_s:
             return False
         return min(map(self._repeats, self._watched.values()), default=0) >= QUIET_HEARTBEATS
@@ -264,7 +271,7 @@ class Observer:
         self._changes += 1
 
     def _repeats(self, watched: _Watched) -> int:
-        """How often the area has repeated its state since anything changed anywhere."""
+        """Number of repeats of the area's state since the last change of any area."""
         return watched.repeats if watched.change == self._changes else 0
 
     def _find_area_obstacle(self, name: str, watched: _Watched, scan: int) -> str | None:
@@ -302,7 +309,7 @@ class Observer:
         return abs(vm[0] - vm[1]), abs(math.remainder(va[0] - va[1], 2 * math.pi))
 
     def _find_unacknowledged(self) -> list[str]:
-        """Messages on their way between areas that are on the bus."""
+        """Sentences on messages that are not received yet or not sent, between areas that are on the bus."""
         states = {name: state for name, state in self.states.items() if self._watched[name].alive}
         found = []
         for area in self.partition.areas:
@@ -323,7 +330,7 @@ class Observer:
 
 
 def count_exchanges(state: StateMessage) -> int:
-    """The most changed messages that an area has sent to one neighbour; they are numbered from 1."""
+    """The largest number of changed messages that an area has sent to one neighbour; they are numbered from 1."""
     return max((load + boundary for load, boundary in state.sent.values()), default=0)
 
 

@@ -1,4 +1,4 @@
-"""A run at one moment, as the live table shows it: what each area is doing, and what stands before consensus."""
+"""A run at one moment for the live table: the state of each area, and the obstacles to consensus."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from agents.messages.packing import StateMessage
 from coordinator.observe.observer import Observer, count_exchanges
 
-UPDATE_S = 0.1  # of wall time between two looks
+UPDATE_S = 0.1  # of wall time between two updates
 
 
 @dataclass(frozen=True, slots=True)
 class AreaProgress:
-    """One area; largest mismatches with a neighbour at a boundary bus, p.u. and rad, None without one."""
+    """Progress of one area. Mismatches: the largest with a neighbour at a boundary bus, p.u. and rad, or None."""
 
     name: str
     state: str
@@ -26,7 +26,7 @@ class AreaProgress:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """All areas after ``elapsed_s``. ``obstacles``: in words, what stands between the run and consensus."""
+    """All areas after ``elapsed_s``. ``obstacles``: the missing conditions of consensus, in words."""
 
     elapsed_s: float
     areas: tuple[AreaProgress, ...]
@@ -34,7 +34,7 @@ class Progress:
 
 
 def describe_progress(observer: Observer, elapsed_s: float, obstacles: tuple[str, ...]) -> Progress:
-    """What ``observer`` knows of every area; ``obstacles``, which take long to find, are the caller's."""
+    """Progress of every area that ``observer`` watches; ``obstacles``, costly to find, come from the caller."""
     absent = set(observer.find_absent())
     names = [area.name for area in observer.partition.areas]
     return Progress(elapsed_s, tuple(_describe_area(observer, name, name not in absent) for name in names), obstacles)
@@ -59,7 +59,7 @@ def _describe_area(observer: Observer, name: str, alive: bool) -> AreaProgress:
 
 
 def _find_mismatches(observer: Observer, name: str) -> list[tuple[float, float]]:
-    """Differences of magnitude and angle to each neighbour that has shown an estimate, p.u. and rad."""
+    """Differences of magnitude and angle at boundary buses with neighbours that have an estimate, p.u. and rad."""
     if not observer.states[name].buses:
         return []
     boundaries = observer.partition.area(name).boundaries

@@ -1,4 +1,4 @@
-"""What states tell of the course of a run: written into ``events.jsonl``, faults of links summed up by kind."""
+"""Log of the areas' states: their changes as events in ``events.jsonl``, and link faults counted by kind."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ NO_COMMAND = (0, 0, 0)
 
 @dataclass
 class StateLog:
-    """``events``: where to write, if anywhere; ``faults``: kind -> number of messages, in all incarnations."""
+    """``events``: the log to write, if any; ``faults``: kind -> number of messages, in all incarnations."""
 
     events: EventLog | None
     faults: Counter[str] = field(default_factory=Counter)
     _quality: dict[str, str] = field(default_factory=dict)
-    _commands: dict[str, tuple[int, int, int]] = field(default_factory=dict)  # the last that each area has followed
-    _counted: dict[str, tuple[Incarnation, Counter[str]]] = field(default_factory=dict)  # of the last incarnation
+    _commands: dict[str, tuple[int, int, int]] = field(default_factory=dict)  # area -> last command followed
+    _counted: dict[str, tuple[Incarnation, Counter[str]]] = field(default_factory=dict)  # of each area's incarnation
 
     def take(self, state: StateMessage, at: float, is_new: bool) -> None:
-        """Note ``state``, an area's newest, shown at time ``at``; ``is_new``: it says more than a repeat would."""
+        """Note ``state``, an area's newest, published at time ``at``; ``is_new``: it is no repeat."""
         area = state.header.sender
-        # a liar may make up more kinds
+        # a hostile area may invent more kinds
         counted = Counter({kind: state.faults[kind] for kind in KINDS if kind in state.faults})
         incarnation, before = self._counted.get(area, (state.header.incarnation, Counter()))
         before = before if incarnation == state.header.incarnation else Counter()

@@ -1,4 +1,4 @@
-"""Tables of buses and meters as lines of a terminal: the columns that fit, numbers under one another."""
+"""Tables of buses and meters as lines of a terminal: the columns that fit, numbers aligned."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 from dsse_core.printable import printable, shortened
 from dsse_core.results.table import Table
 
-BUSES_FIRST = "bus", "area", "vm_pu", "va_deg", "sigma_vm_pu", "p_kw", "q_kvar"  # columns, as far as they fit
+BUSES_FIRST = "bus", "area", "vm_pu", "va_deg", "sigma_vm_pu", "p_kw", "q_kvar"  # columns in order, as far as they fit
 METERS_FIRST = "meter", "area", "status", "normalised_residual", "reading", "estimate", "unit", "age_s"
-OF_UNITS = "reading", "estimate", "sigma"  # of each meter in its own
-DIGITS = 5  # of a number that count
+OF_UNITS = "reading", "estimate", "sigma"  # columns in which each meter has its own unit
+DIGITS = 5  # significant digits of a number
 MOST_DECIMALS = 7
 LONGEST_CELL = 24
-LARGEST = 1e9  # from here on with an exponent
+LARGEST = 1e9  # larger numbers have an exponent
 
 
 def write_table(table: Table, width: int, most: int | None) -> Iterator[str]:
-    """Lines of ``width`` characters at most: ``most`` rows, of buses those whose voltages are farthest from 1 p.u."""
+    """Lines of ``width`` characters at most: ``most`` rows, for buses those with voltages farthest from 1 p.u."""
     rows = _choose_rows(table, most)
     first = METERS_FIRST if "meter" in table.columns else BUSES_FIRST
     order = dict.fromkeys((*(name for name in first if name in table.columns), *table.columns))
@@ -50,7 +50,7 @@ def _pick(column: np.ndarray | tuple[str, ...], rows: Sequence[int]) -> list[obj
 
 
 def _write_column(values: Sequence[object], differ_in_unit: bool) -> list[str]:
-    """With as many decimals as the largest number needs; each by itself where rows ``differ_in_unit``."""
+    """Cells with as many decimals as the largest number needs; cell by cell where rows ``differ_in_unit``."""
     sizes = [abs(value) for value in values if isinstance(value, float) and 0.0 < abs(value) < LARGEST]
     if differ_in_unit or not sizes:
         return [_cell(value, None) for value in values]
@@ -78,7 +78,7 @@ def _cell(value: object, decimals: int | None) -> str:
 
 
 def _is_unknown(column: np.ndarray | tuple[str, ...]) -> bool:
-    """Whether no row has anything there."""
+    """True where no row has a value in this column."""
     if isinstance(column, tuple):
         return not any(column)
     return column.dtype.kind == "f" and bool(np.isnan(column).all())

@@ -1,4 +1,4 @@
-"""What watchers see of a run at one moment: the one view that ``dsse watch`` prints and that a page shows."""
+"""A watcher's view of a run at one moment, which ``dsse watch`` prints and a page shows."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 
 from agents.protocol.quality import NONE
 
-OVER_S = 2.0  # after which an incarnation that is not received is over; nobody tells a watcher the heartbeat
+OVER_S = 2.0  # an incarnation silent for so long is over; a watcher does not know the heartbeat
 
 
 @dataclass(frozen=True, slots=True)
 class Extreme:
-    """A quantity and where it is found: a bus or a meter."""
+    """A quantity and the bus or meter that has it."""
 
     value: float
     at: str
@@ -20,18 +20,18 @@ class Extreme:
 
 @dataclass(frozen=True, slots=True)
 class AreaView:
-    """One area as a watcher sees it; everything but ``present`` is what it published ``age_s`` ago.
+    """One area as a watcher sees it, from the state that the area published ``age_s`` ago and its presence token.
 
     ``lowest_vm``, ``highest_vm``: of its buses, p.u.; None without an estimate. ``worst_meter``: the one of the
     largest normalised residual; None where none is known.
     ``mismatch_vm_pu``, ``mismatch_va_deg``: the largest differences to a neighbour at a bus that both publish, None
-    where there is none. ``neighbours``: those that it sends to. ``age_s``: None if it was never received.
-    ``leave_reason``: what it said when it left, empty if it died. ``silent``: it has said nothing for longer than
-    ``silent_after_s``, though its token may be there. ``said_quality``: what it said of its own state
-    (docs/explanation/quality.md); ``quality``: the same, and stale once it is gone or silent. ``telemetry_age_s``,
-    ``oldest_reading_s`` and ``ages_s`` (of each neighbour's information) have gone on counting since. ``split``: digest
-    of the split that its file is of, made at ``split_time``, s since 1970; ``split_edited``: digest of what the file
-    was edited to since, else empty. ``next_split``: digest of the split whose file lies ready beside it, else empty.
+    where there is none. ``neighbours``: those that it sends to. ``age_s``: None if no state was received.
+    ``leave_reason``: of its leave message, empty if it died. ``silent``: no state for longer than ``silent_after_s``,
+    even if its token is present. ``said_quality``: the quality that it published (docs/explanation/quality.md);
+    ``quality``: the same, but stale once it is gone or silent. ``telemetry_age_s``, ``oldest_reading_s`` and ``ages_s``
+    (of each neighbour's information) include the time since the state arrived. ``split``: digest of the split of its
+    area file, made at ``split_time``, s since 1970; ``split_edited``: digest of the file as edited since, else empty.
+    ``next_split``: digest of the split of the file that lies ready beside it, else empty.
     """
 
     name: str
@@ -74,7 +74,7 @@ class AreaView:
 
     @property
     def state(self) -> str:
-        """In a word."""
+        """Presence and estimate of the area in a few words."""
         if not self.present:
             return "left" if self.leave_reason else "gone"
         if self.age_s is None or self.silent:
@@ -86,12 +86,12 @@ class AreaView:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """A run at one moment. ``others``: plant, gateways, coordinators and watchers that are there, as ``role name``.
+    """A run at one moment. ``others``: present plant, gateways, coordinators and watchers, as ``role name``.
 
-    ``duplicates``: in words, which area or plant runs more than once; one that has just been started again may, for 2
-    s. ``other_versions``: in words, who speaks another wire version, of whom nothing else can be shown.
-    ``strangers``: how many more are announced as areas: none of the scenario's where that is known, else those for
-    whom there is no place. ``more_others``: how many there are beside ``others``.
+    ``duplicates``: in words, areas, plants and gateways that run more than once; a restarted process may appear here
+    for 2 s. ``other_versions``: in words, the processes of other wire versions, of which only names are known.
+    ``strangers``: number of further processes announced as areas: those outside the scenario where it is known, else
+    those beyond the limit. ``more_others``: number of processes beyond ``others``.
     """
 
     run: str

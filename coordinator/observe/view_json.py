@@ -1,4 +1,4 @@
-"""What a watcher sees as JSON: of ``dsse watch --json`` and of the page alike."""
+"""A watcher's view as JSON, for ``dsse watch --json`` and for the page."""
 
 from __future__ import annotations
 
@@ -31,5 +31,5 @@ def _describe_extreme(extreme: Extreme) -> dict[str, Any]:
 
 
 def describe_tables(tables: Mapping[str, Table]) -> dict[str, dict[str, list[Any]]]:
-    """Name -> the columns of a table, each with all its values; None for what is unknown."""
+    """Name -> the columns of a table, each with all its values; None for unknown values."""
     return {name: columns_as_json(table) for name, table in tables.items()}

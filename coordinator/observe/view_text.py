@@ -1,4 +1,4 @@
-"""What a watcher sees of a run as lines: one for each area, and below it why it is not good."""
+"""A watcher's view of a run as lines: one for each area, and below it the reasons for its quality."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from dsse_core.results.table import Table
 from dsse_core.split_identity import SHOWN, SplitIdentity
 
 WIDTH = 80
-MOST_LISTED = 12  # processes that are no areas
+MOST_LISTED = 12  # processes other than areas
 MOST_AREAS = 200
 MOST_NOTES = 3  # of an area
-LONGEST_SENTENCE = 300  # `dsse watch --json` has all sentences whole
+LONGEST_SENTENCE = 300  # characters; `dsse watch --json` has all sentences in full
 COLUMNS = (("area", 16), ("quality", 14), ("age s", 6), ("voltage p.u.", 12))
-LEAST_ROWS = 3  # of a table in a terminal that is too low for it
-WIDEST = 160  # beyond it nobody finds the end of a line
+LEAST_ROWS = 3  # of a table in a terminal with too few lines
+WIDEST = 160  # characters; longer lines are hard to read
 STYLES = {GOOD: "green", DEGRADED: "yellow"}  # every other quality is red
 
 
@@ -40,24 +40,25 @@ def format_view(view: View, tables: Iterable[Table] = (), most: int | None = Non
 
 @contextmanager
 def live_view() -> Iterator[Callable[[View, Iterable[Table]], None]]:
-    """A function that shows what a watcher sees in place, in colours, as much of it as the terminal holds."""
+    """A function that shows a view in place, in colours, as much of it as the terminal holds."""
     console = Console()
     with Live(console=console, auto_refresh=False) as live:
 
         def update(view: View, tables: Iterable[Table]) -> None:
             width, height = min(console.width, WIDEST), console.height - 1  # the cursor stands in the last line
             lines = fit_view(view, list(tables), width, height)
-            with Held():  # what is drawn in part stays on the screen, and what follows begins in its last line
+            with Held():  # an interrupted drawing stays on the screen, and the next one begins in its last line
                 live.update(Text("\n").join(Text(line, style=style) for line, style in lines), refresh=True)
 
         yield update
 
 
 def fit_view(view: View, tables: Sequence[Table], width: int, height: int) -> list[tuple[str, str]]:
-    """Lines and their styles, ``height`` at most: the areas, those that are not good first where not all fit, and as
-    many rows of ``tables`` as there is room for.
+    """Lines and their styles, ``height`` at most: the areas, and as many rows of ``tables`` as fit.
+
+    Where not all areas fit, those of a quality other than good come first.
     """
-    beside = 3  # lines of a table that are no rows: an empty one, its heading, and how many rows are left out
+    beside = 3  # lines of a table beside its rows: an empty one, the heading, the number of rows left out
     room = height - len(tables) * (LEAST_ROWS + beside)
     lines = list(_write_view(view, width))
     if len(lines) > room:
@@ -72,7 +73,7 @@ def fit_view(view: View, tables: Sequence[Table], width: int, height: int) -> li
 
 
 def _write_view(view: View, width: int) -> Iterator[tuple[str, str]]:
-    """Lines and their styles."""
+    """All lines of ``view`` with their styles, ``width`` characters at most."""
     qualities = [area.quality for area in view.areas]
     counts = [f"{qualities.count(quality)} {quality}" for quality in dict.fromkeys(qualities)]
     scan = max((area.scan for area in view.areas), default=0)
@@ -99,7 +100,7 @@ def _write_view(view: View, width: int) -> Iterator[tuple[str, str]]:
 
 
 def _choose_areas(areas: Sequence[AreaView]) -> Sequence[AreaView]:
-    """Where there are very many: those that are not good, then good ones, then those that have never published."""
+    """All areas, or the first MOST_AREAS: those not good, then good ones, then those that have never published."""
     if len(areas) <= MOST_AREAS:
         return areas
     return sorted(areas, key=lambda area: 2 if area.age_s is None else int(area.quality == GOOD))[:MOST_AREAS]
@@ -112,7 +113,7 @@ def _write_others(view: View) -> str:
 
 
 def _write_splits(areas: Sequence[AreaView]) -> Iterator[str]:
-    """Of which split the area files are, and, where they are of several, which of them are of which."""
+    """The splits of the area files, with the areas of each where there are several, and next splits that lie ready."""
     names: dict[SplitIdentity, list[str]] = {}
     for area in areas:
         if area.split:
@@ -133,7 +134,7 @@ def _write_splits(areas: Sequence[AreaView]) -> Iterator[str]:
 
 
 def _remarks(area: AreaView, scan: int) -> Iterator[str]:
-    """Why it is no better, the worst first."""
+    """The scan of an area where it is not the newest, and its notes, the worst first."""
     if 0 < area.scan != scan:
         yield f"works on scan {area.scan}"
     own_quality = f" (it said {area.said_quality})" if area.quality != area.said_quality else ""
@@ -166,7 +167,7 @@ def _wrap(text: str, width: int, indent: str = "") -> list[str]:
 
 
 def _seconds(value: float) -> str:
-    """However absurd."""
+    """Seconds with one decimal; from 1e4 on, with an exponent."""
     return f"{value:.1f}" if abs(value) < 1e4 else f"{value:.0e}"
 
 

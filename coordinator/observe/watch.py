@@ -1,4 +1,4 @@
-"""Watching a system from outside, without its scenario: who is there, and what the areas publish. No bus, no clock."""
+"""Watcher of a running system, without its scenario: present processes, and the areas' states. No bus, no clock."""
 
 from __future__ import annotations
 
@@ -20,39 +20,39 @@ from coordinator.observe.observer import count_exchanges
 from coordinator.observe.view import OVER_S, AreaView, Extreme, View
 from dsse_core.printable import listed
 
-MOST_VERSIONS = 10  # other wire versions that are distinguished, and
+MOST_VERSIONS = 10  # other wire versions that are kept apart, and
 MOST_NAMED = 12  # names of each
-MOST_AREAS = 1000  # that are shown where any name may be one
+MOST_AREAS = 1000  # that are shown where the areas' names are not known
 MOST_OTHERS, MOST_DUPLICATES = 100, 100  # that are named
-MOST_BYTES = 32 * 2**20  # of the messages that are kept, where any name may be an area
-ROLES = ("plant", "coordinator", "gateway")  # of those that are no areas, named first
-SILENT_PAUSES = 3  # an area that was not received for so many of its longest pauses, and for OVER_S, is silent
+MOST_BYTES = 32 * 2**20  # of the messages that are kept, where the areas' names are not known
+ROLES = ("plant", "coordinator", "gateway")  # of processes other than areas, named first
+SILENT_PAUSES = 3  # an area without a state for so many of its longest pauses, and for OVER_S, is silent
 
 
 @dataclass
 class Watcher:
-    """Takes in presence and states of run ``run`` with the time of their arrival, s on any one clock.
+    """Takes in presence and states of run ``run`` with the time of their arrival, s on any monotonic clock.
 
-    ``areas``: their names, if they are known: nothing else is an area then, and strangers, however many, take nobody's
-    place. Otherwise ``MAX_NAMES`` are kept with ``MOST_BYTES`` of messages, who came first, and ``MOST_AREAS`` shown.
+    ``areas``: names of the areas, if known. Then no other name is an area, and strangers displace no area. Otherwise
+    the first ``MAX_NAMES`` areas are kept, with ``MOST_BYTES`` of messages, and ``MOST_AREAS`` are shown.
     """
 
     run: str
     areas: frozenset[str] | None = None
     _presence: Presence = field(default_factory=Presence)
-    _strangers: Presence = field(default_factory=Presence)  # all but ``areas``, if these are known
+    _strangers: Presence = field(default_factory=Presence)  # all processes but ``areas``, if these are known
     _other_versions: dict[int, Presence] = field(default_factory=dict)
-    _shown: dict[str, None] = field(default_factory=dict)  # areas whose tokens were there, or are
+    _shown: dict[str, None] = field(default_factory=dict)  # areas whose tokens are or were present
     _leave_reasons: dict[str, str] = field(default_factory=dict)
     _received: dict[str, tuple[float, StateMessage]] = field(default_factory=dict)
-    _first_received: dict[str, float] = field(default_factory=dict)  # area -> when
+    _first_received: dict[str, float] = field(default_factory=dict)  # area -> time of its first state
     _longest_pause: dict[str, float] = field(default_factory=dict)  # between two states of an area's incarnation, s
     _readings: dict[str, ReadingsMessage] = field(default_factory=dict)
     _sizes: dict[tuple[str, str], int] = field(default_factory=dict)  # area and kind of message -> bytes, and
     _bytes: int = 0  # their sum
 
     def copy(self) -> Watcher:
-        """One that knows the same, and goes its own way from here; messages are shared, as nobody changes them."""
+        """An independent watcher with the same knowledge; messages are shared, as they never change."""
         own = (field for field in fields(self) if field.name not in ("run", "areas"))
         return replace(self, **{field.name: _copy(getattr(self, field.name)) for field in own})
 
@@ -64,12 +64,12 @@ class Watcher:
             return
         role, name = name_of_live(key)
         if self._presence_of(key).take(key, alive) and alive and self._is_known(name):
-            self._leave_reasons.pop(name, None)  # of a former incarnation
+            self._leave_reasons.pop(name, None)  # of its former incarnation
             if role == "area" and len(self._shown) < MAX_NAMES:
                 self._shown[name] = None
 
     def forget_presence(self) -> None:
-        """Know of no token any more: the links to the bus are opened anew."""
+        """Forget all tokens, since the links to the bus are opened again."""
         self._presence.forget()
         self._strangers.forget()
         self._shown.clear()
@@ -82,13 +82,13 @@ class Watcher:
             self._leave_reasons[name_of_live(key)[1]] = leave_reason
 
     def has_place_for(self, area: str) -> bool:
-        """Whether what ``area`` says is kept: the areas that are known, or those that were received first."""
+        """True where messages of ``area`` are kept: it is a known area, or among the first that were received."""
         if self.areas is not None:
             return area in self.areas
         return area in self._received or len(self._received) < MAX_NAMES
 
     def take_state(self, state: StateMessage, now: float, size: int = 0) -> None:
-        """Keep ``state`` if it is of this run and as new as the area's last, or the incarnation of that is over.
+        """Keep ``state`` if it is of this run and as new as the area's last, or the last one's incarnation is over.
 
         ``size``: bytes of the message.
         """
@@ -103,7 +103,7 @@ class Watcher:
             self._first_received.setdefault(area, now)
 
     def take_readings(self, readings: ReadingsMessage, size: int = 0) -> None:
-        """Keep what an area has used last; ``size``: bytes of the message."""
+        """Keep the readings that an area has used last; ``size``: bytes of the message."""
         area, known = readings.header.sender, self._readings.get(readings.header.sender)
         is_too_much = known is None and len(self._readings) >= MAX_NAMES
         if readings.header.run != self.run or is_too_much or not self._is_known(area):
@@ -113,7 +113,7 @@ class Watcher:
             self._readings[area] = readings
 
     def _has_room(self, area: str, kind: str, size: int) -> bool:
-        """Whether a message of ``size`` bytes finds room in place of the last of its kind; it takes it then."""
+        """True where a message of ``size`` bytes fits in place of the last of its kind; its bytes are then counted."""
         more = size - self._sizes.get((area, kind), 0)
         if self.areas is None and self._bytes + more > MOST_BYTES:
             return False
@@ -121,37 +121,37 @@ class Watcher:
         return True
 
     def is_whole(self) -> bool:
-        """Whether there are areas, and every one that is there has been received."""
+        """True where areas are present, and a state of each has been received."""
         present = self.names_of("area")
         return bool(present) and present <= self._received.keys()
 
     def find_absent(self) -> tuple[str, ...]:
-        """Areas that others send to, and that are not there."""
+        """Areas that other areas send to, and that are not present."""
         addressed = {name for _, state in self._received.values() for name in state.sent}
         return tuple(sorted(addressed - self.names_of("area")))
 
     def state_of(self, area: str) -> StateMessage | None:
-        """What ``area`` published last."""
+        """The last state of ``area``; None if none was received."""
         return self._received[area][1] if area in self._received else None
 
     @property
     def states(self) -> Mapping[str, StateMessage]:
-        """Area -> what it published last, of those that are shown."""
+        """Area -> its last state, for the areas that are shown."""
         return {area: self._received[area][1] for area in self._choose_received()}
 
     @property
     def readings(self) -> Mapping[str, ReadingsMessage]:
-        """Area -> the readings that it has used last, of those that are shown."""
+        """Area -> the readings that it has used last, for the areas that are shown."""
         if len(self._readings) <= self._most_areas:
             return self._readings
         return {area: self._readings[area] for area in self._choose_received() if area in self._readings}
 
     def look(self, now: float) -> View:
-        """What is known at ``now``."""
+        """The view at ``now``."""
         present, received = self.names_of("area"), self._choose_received()
         addressed = {name for area in received for name in self._received[area][1].sent if self._is_known(name)}
         named = (present | addressed) - self._received.keys()
-        room = self._most_areas - len(received)  # an area that was received is not crowded out by who is only named
+        room = self._most_areas - len(received)  # areas that are only named do not displace areas that were received
         names = sorted([*received, *sorted(named, key=_by_number)[:room]], key=_by_number)
         left_out = len(self._received) + len(named) - len(names)
         strangers = sum(role == "area" for role, _ in self._strangers.names) + left_out
@@ -165,14 +165,14 @@ class Watcher:
         return MOST_AREAS if self.areas is None else len(self.areas)
 
     def _choose_received(self) -> list[str]:
-        """The areas that are shown of those that were received: those that estimate, then who came first."""
+        """The received areas that are shown: areas with an estimate first, then in order of arrival."""
         if len(self._received) <= self._most_areas:
             return list(self._received)
         rank = {area: (not state.buses, not state.sent) for area, (_, state) in self._received.items()}
         return sorted(rank, key=rank.__getitem__)[: self._most_areas]
 
     def _find_others(self) -> tuple[tuple[str, ...], int]:
-        """Who is there and no area, as ``role name``, and how many more."""
+        """Present processes other than areas, as ``role name``, and the number of those left out."""
         found = [(role, name) for role, name in self._presence.names | self._strangers.names if role != "area"]
         ranked = sorted(found, key=lambda other: (other[0] not in ROLES, other))[:MOST_OTHERS]
         return tuple(sorted(f"{role} {name}" for role, name in ranked)), len(found) - len(ranked)
@@ -181,12 +181,12 @@ class Watcher:
         return self.areas is None or area in self.areas
 
     def _presence_of(self, key: str) -> Presence:
-        """The one that keeps the token on ``key``."""
+        """The ``Presence`` that keeps the token on ``key``."""
         role, name = name_of_live(key)
         return self._presence if self.areas is None or (role == "area" and name in self.areas) else self._strangers
 
     def find_other_versions(self) -> tuple[str, ...]:
-        """In words, who speaks which other wire version."""
+        """Sentences that name the processes of each other wire version."""
         found = {
             version: sorted({f"{role} {name}" for role, name in presence.names})
             for version, presence in sorted(self._other_versions.items())
@@ -205,11 +205,11 @@ class Watcher:
                     yield describe_duplicate(role, name, tuple(map(str, incarnations)))
 
     def names_of(self, role: str) -> set[str]:
-        """Who of ``role`` is there."""
+        """Names of the present processes of ``role``."""
         return {name for its_role, name in self._presence.names if its_role == role}
 
     def _may_be_there(self, area: str, now: float) -> bool:
-        """Whether ``area`` was first received just now, and nothing is known of its token yet: it is asked for then."""
+        """True where ``area`` was first received within OVER_S, and the answer about its token has not come yet."""
         is_known_by_states = self.areas is None and area in self._received and area not in self._shown
         return is_known_by_states and now - self._first_received[area] <= OVER_S
 
@@ -289,22 +289,22 @@ def _copy(kept: Any) -> Any:
 
 
 def _extreme(state: StateMessage, vm: float | None) -> Extreme | None:
-    """The bus that has magnitude ``vm``."""
+    """The first bus with magnitude ``vm``."""
     return None if vm is None else Extreme(vm, str(state.buses[state.vm.index(vm)]))
 
 
 def _find_worst(readings: ReadingsMessage | None, state: StateMessage) -> Extreme | None:
-    """The meter in use whose normalised residual is the largest in the same scan."""
+    """The meter in use with the largest normalised residual; None unless ``readings`` are of the state's scan."""
     if readings is None or readings.header.scan != state.header.scan:
         return None
     off = np.array(readings.normalised, dtype=float)
-    if np.isnan(off).all():  # also of none
+    if np.isnan(off).all():  # also where it is empty
         return None
     worst = int(np.nanargmax(off))
     return Extreme(readings.normalised[worst], readings.meters[worst])
 
 
 def _by_number(name: str) -> tuple[str, int]:
-    """area2 before area10."""
+    """Key of an order in which area2 comes before area10."""
     word = name.rstrip("0123456789")
     return word, int(name[len(word) :] or 0)

@@ -1,9 +1,9 @@
-"""The keys that a watcher of a run asks for.
+"""The keys that a watcher of a run subscribes to.
 
 Presence tokens are asked for by name, never by a wildcard, whether or not the watcher knows the areas. A router
-compares each wildcard that anybody has ever asked for with each key that anybody announces, and when a stranger with
-many such keys leaves nothing passes for seconds (docs/explanation/reliability.md). So a watcher that does not know the
-areas subscribes to what areas and gateways publish, and asks for the presence of those that publish something.
+compares each wildcard of any session with each key of any token. When a process with many such keys leaves, no message
+passes for seconds (docs/explanation/reliability.md). So a watcher that does not know the areas subscribes to the states
+of areas and the announcements of gateways, and asks for the presence of the publishers.
 """
 
 from __future__ import annotations
@@ -26,37 +26,37 @@ from agents.messages.keys import (
 from agents.security.access import COORDINATOR, PLANT
 from agents.transport.zenoh_bus import Session
 
-ALWAYS = (("plant", PLANT), ("coordinator", COORDINATOR))  # (role, name) of whom each run may have one
-NAMED_BY_NEIGHBOUR = "named"  # an area of which nothing is received yet, and that another names as its neighbour
-# Whose names are learned from the bus; who came first.
+ALWAYS = (("plant", PLANT), ("coordinator", COORDINATOR))  # (role, name) of processes that a run has once at most
+NAMED_BY_NEIGHBOUR = "named"  # an area without a received message that another area names as its neighbour
+# Kind of process -> number of names that are learned from the bus, in order of arrival.
 MOST_ASKED = {"area": 1000, NAMED_BY_NEIGHBOUR: 1000, "gateway": 100}
 
 
 def state_keys(run: str, areas: Collection[str] | None) -> tuple[str, ...]:
-    """Of the states of ``areas``, or of all."""
+    """Keys of the states of ``areas``, or of all areas."""
     return (all_states(run),) if areas is None else tuple(state_key(run, area) for area in sorted(areas))
 
 
 def readings_keys(run: str, areas: Collection[str] | None) -> tuple[str, ...]:
-    """Of the readings that ``areas``, or all, say to have used."""
+    """Keys of the readings that ``areas``, or all areas, have used."""
     return (all_readings(run),) if areas is None else tuple(readings_key(run, area) for area in sorted(areas))
 
 
 def command_keys(run: str, areas: Collection[str] | None) -> tuple[str, ...]:
-    """Of what the operator asks of ``areas`` and the plant, or of all."""
+    """Keys of the operator's commands to ``areas`` and the plant, or to all."""
     return (all_commands(run),) if areas is None else tuple(command_key(run, name) for name in (*sorted(areas), PLANT))
 
 
 def processes_of(areas: Collection[str] | None) -> tuple[tuple[str, str], ...]:
-    """(role, name) of whose presence is asked for from the start."""
+    """(role, name) of the processes whose presence is asked for from the start."""
     return (*(("area", area) for area in sorted(areas or ())), *ALWAYS)
 
 
 class PresenceByName:
     """Asks for tokens and leave messages of processes of ``run``, each by its name and once.
 
-    ``on_token(key, alive)`` and ``on_leave(key, payload)`` get what is published there. ``any_version``: also of
-    programs of other wire versions, which keys show nobody.
+    ``on_token(key, alive)`` and ``on_leave(key, payload)`` get tokens and leave messages. ``any_version``: those of
+    other wire versions as well, which the access rules of keys let no session see.
     """
 
     def __init__(
@@ -75,9 +75,9 @@ class PresenceByName:
         self._noted = queue.SimpleQueue[tuple[str, str]]()
 
     def note(self, role: str, name: str, kind: str | None = None) -> None:
-        """Learn of a process, on any thread; it is asked for at the next ``ask_noted``.
+        """Note a process, on any thread; the next ``ask_noted`` asks for it.
 
-        ``kind``: of ``MOST_ASKED``, its role if not given; nothing else than these is learned.
+        ``kind``: a key of ``MOST_ASKED``, its role if not given; processes of other kinds are not noted.
         """
         kind = kind or role
         is_new = (role, name) not in self._known and self._counts[kind] < MOST_ASKED.get(kind, 0)
@@ -87,7 +87,7 @@ class PresenceByName:
             self._noted.put((role, name))
 
     def ask_noted(self) -> bool:
-        """Ask for whom was noted; whether there was anybody."""
+        """Ask for the processes noted; True if there were any."""
         noted = [self._noted.get_nowait() for _ in range(self._noted.qsize())]
         self.ask(noted)
         return bool(noted)

@@ -1,1 +1,1 @@
-"""Commands that attach to a running system, or to what one has recorded."""
+"""Commands that attach to a running system, or play back a recording."""

@@ -1,4 +1,4 @@
-"""Where a running system is, and with whose keys it is joined: the options that all commands of this room share."""
+"""Address of a running system and the keys to join it: options that the commands in this folder share."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from coordinator.cli.terminal import (
 
 @dataclass(frozen=True)
 class RunAddress:
-    """``endpoints``: of routers; with ``direct`` those of all areas, and there is no router.
+    """Address of a run. ``endpoints``: of routers; with ``direct`` those of all areas, without a router.
 
-    ``run``: its name; None: the one that the keys name, or the only one that is there. ``timeout_s``: for an endpoint
-    to answer, and for a run to be seen. ``keys``: folder of credentials.
+    ``run``: its name; None: the run that the keys name, or the only one on the bus. ``timeout_s``: limit for an
+    endpoint to answer, and for a run to appear. ``keys``: folder of credentials.
     """
 
     endpoints: Sequence[str]

@@ -1,4 +1,4 @@
-"""The command ``dsse gateway``: meters of the field onto the bus, results back."""
+"""The command ``dsse gateway``: readings of meters in the field to the bus, results back."""
 
 from __future__ import annotations
 

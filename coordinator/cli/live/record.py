@@ -15,7 +15,7 @@ from coordinator.interrupts import end_orderly_on_signals
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
     from coordinator.replay.ticks import Tick
 
-NOT_WHOLE_CODE = 3  # of a replay that agrees, of a recording with gaps: 2 is that of wrong input
+NOT_WHOLE_CODE = 3  # of a replay that agrees where the recording has gaps; 2 is that of wrong input
 LINE_S = 1.0  # between two lines of progress
 ABOVE_ZERO = Number(min=0, min_open=True)
 
@@ -95,7 +95,7 @@ def replay(folder: Path, processes: bool, speed: float | None, scenario: str | N
 
 
 class _Progress:
-    """A line now and then."""
+    """Prints a line of progress every LINE_S."""
 
     def __init__(self) -> None:
         self._next = time.monotonic() + LINE_S

@@ -1,4 +1,4 @@
-"""Attaching to a running system: which run is on the bus, and what arrives from it."""
+"""Attachment to a running system: finds the run on the bus, and takes in its messages."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ from coordinator.process_run.processes import Updates
 from dsse_core.printable import listed
 
 ANY = "*"
-SETTLE_S = 0.3  # without a new name, and nobody is there but who was received
+SETTLE_S = 0.3  # without a new name; then all present areas have been received
 STEP_S = 0.05
 LONGEST_WAIT_S = REPEAT_READINGS_S + 2.0
-MOST_RUNS = 12  # that an error names
+MOST_RUNS = 12  # runs that an error names
 
 
 @dataclass(frozen=True, slots=True)
 class _Shown:
-    """What arrived on the key of an area's states or readings."""
+    """A message on the key of an area's states or readings."""
 
     key: str
     payload: bytes
 
 
 class Look:
-    """What arrives on ``session`` of ``run``; called with a number of seconds it takes in what arrives within them.
+    """Look at a run through ``session``; a call takes in the messages that have arrived, and returns the watcher.
 
-    ``asked_at``: when it has asked for the presence of a process last, s.
+    ``asked_at``: time of the last question for the presence of a process, s, monotonic.
     """
 
     def __init__(self, watcher: Watcher, updates: Updates, session: Session) -> None:
@@ -65,9 +65,9 @@ class Look:
         self.asked_at = time.monotonic()
 
     def listen(self) -> None:
-        """Have what the run publishes put into the updates."""
+        """Subscribe to the run; its messages go into the updates."""
         areas, session = self._watcher.areas, self.session
-        self._asked.ask(processes_of(areas))  # first: who has published something is known to be there
+        self._asked.ask(processes_of(areas))  # before the states: the publisher of a state is known to be present
         states = state_keys(self.run, areas)
         if areas is None and self._any_version:
             states = tuple(map(of_any_version, states))
@@ -76,14 +76,14 @@ class Look:
         session.subscribe(all_gateways(self.run), lambda key, payload: self._asked.note(*publisher_of(key)))
 
     def renew(self) -> None:
-        """Take up the keys that are in the files now; who is there is seen anew."""
+        """Load the keys from their files again; presence tokens are then received again."""
         if self.session.interrupt():
             self(0.0)
             self._watcher.forget_presence()
             self.session.resume()
 
     def __call__(self, duration_s: float) -> Watcher:
-        """The watcher, which knows of all up to now."""
+        """Wait up to ``duration_s`` for a message, and take in all that have arrived; the watcher."""
         for item in self._updates.take(duration_s):
             match item:
                 case _Shown(key, payload):
@@ -97,14 +97,14 @@ class Look:
         return self._watcher
 
     def for_whole(self, duration_s: float) -> Watcher:
-        """The same after ``duration_s``, however much arrives meanwhile: what is made of it costs the same then."""
+        """The watcher after all of ``duration_s``, however many messages arrive; this limits the rate of calls."""
         deadline = time.monotonic() + duration_s
         while (left_s := deadline - time.monotonic()) > 0:
             self(left_s)
         return self._watcher
 
     def _offer_shown(self, key: str, payload: bytes) -> None:
-        """On the thread that receives: a slow one would hold up the router, and with it the areas."""
+        """Queue a message, on the receiving thread; a slow thread would delay the router, and with it the areas."""
         self._updates.offer(_Shown(key, payload), size=len(key) + len(payload))
 
     def _offer_token(self, key: str, alive: bool) -> None:
@@ -115,7 +115,7 @@ class Look:
             self._updates.offer((key, leave_reason), sent_once=True, size=len(key))
 
     def _take_shown(self, key: str, payload: bytes) -> None:
-        """What areas that can be kept show; what others do is not even read."""
+        """Take in a message of an area that the watcher has place for; messages of others are not decoded."""
         if not self._watcher.has_place_for(sender_of(key)):
             return
         self._asked.note(*publisher_of(key))
@@ -131,9 +131,9 @@ class Look:
 
 @contextmanager
 def join_run(address: RunAddress, name: str = "") -> Iterator[tuple[Session, str]]:
-    """Join the bus as a mere listener of a run; the session, and the name of the run.
+    """Join the bus to listen to a run; the session, and the name of the run.
 
-    ``name``: whose credentials to use; without it those of the watcher or of the coordinator.
+    ``name``: owner of the credentials to use; by default the watcher, else the coordinator.
 
     Raises:
         InvalidInputError: the keys cannot be used, or ``address.run`` is no name of a run.
@@ -148,8 +148,9 @@ def join_run(address: RunAddress, name: str = "") -> Iterator[tuple[Session, str
 
 @contextmanager
 def attach(address: RunAddress, name: str = "", areas: frozenset[str] | None = None) -> Iterator[Look]:
-    """Watch a run, of which nothing but ``areas`` are areas if they are given; the other arguments and what is raised
-    are those of ``join_run``.
+    """Watch a run. ``areas``: names of its areas, if known; no other name is an area then.
+
+    The other arguments and the errors are those of ``join_run``.
     """
     with join_run(address, name) as (session, run):
         look = Look(Watcher(run, areas), Updates(), session)
@@ -158,15 +159,15 @@ def attach(address: RunAddress, name: str = "", areas: frozenset[str] | None = N
 
 
 def _find_own_name(keys: Path) -> str:
-    """Who a watcher with the credentials in ``keys`` is: the coordinator where only that has some there."""
+    """Owner of the credentials in ``keys`` for a watcher: the coordinator where it alone has some, else the watcher."""
     has = {name: credentials_in(keys, name).certificate.exists() for name in (WATCHER, COORDINATOR)}
     return COORDINATOR if has[COORDINATOR] and not has[WATCHER] else WATCHER
 
 
 def wait_until_whole(look: Look, timeout_s: float, *, with_readings: bool = False) -> Watcher:
-    """Wait until every area that is there has been received, and its readings if they are wanted; or until time is up.
+    """Wait until every present area has been received, ``with_readings`` its readings as well, or until time is up.
 
-    Areas repeat their readings in longer intervals than their states.
+    Areas repeat their readings at longer intervals than their states; LONGEST_WAIT_S is the least time limit then.
     """
     deadline = time.monotonic() + (max(timeout_s, LONGEST_WAIT_S) if with_readings else timeout_s)
     while True:
@@ -176,7 +177,9 @@ def wait_until_whole(look: Look, timeout_s: float, *, with_readings: bool = Fals
 
 
 def _is_whole(look: Look, watcher: Watcher, with_readings: bool) -> bool:
-    """Whether all were received, and there was time to hear of others: of those beyond an area that is gone, too."""
+    """True where all areas have been received, and SETTLE_S has passed since the last question for a process.
+
+    Where an area is absent OVER_S must pass, as the areas beyond it take longer to be found."""
     settled_at = look.asked_at + (OVER_S if watcher.find_absent() else SETTLE_S)
     has_all = watcher.is_whole() and (not with_readings or watcher.readings.keys() >= watcher.states.keys())
     return has_all and time.monotonic() >= settled_at
@@ -191,9 +194,12 @@ def wait_for_state(look: Look, area: str, timeout_s: float) -> Watcher:
 
 
 def _find_run(session: Session, timeout_s: float) -> str:
-    """The only run of which an area publishes something.
+    """The only run on the bus, by the states that its areas publish.
 
-    Another is found, too, if its areas publish as often.
+    The search lasts one heartbeat of the first area received, so it also finds a second run with as short a heartbeat.
+
+    Raises:
+        TransportError: no run or several are there.
     """
     updates = Updates()
     states = session.subscribe(of_any_version(all_states(ANY)), lambda key, payload: updates.offer(key, size=len(key)))
@@ -213,7 +219,10 @@ def _find_run(session: Session, timeout_s: float) -> str:
 
 
 def _choose_run(versions: Mapping[str, int], timeout_s: float) -> str:
-    """The only one that speaks this wire version."""
+    """The only run of this wire version.
+
+    Raises:
+        TransportError: there is none, or several."""
     runs = [run for run, version in versions.items() if version == WIRE_VERSION]
     if len(runs) > 1:
         raise TransportError(f"several runs are on this bus: {listed(sorted(runs), MOST_RUNS)}; choose one with --run")
@@ -226,7 +235,7 @@ def _choose_run(versions: Mapping[str, int], timeout_s: float) -> str:
 
 
 def _decoded(key: str, payload: bytes) -> StateMessage | ReadingsMessage | None:
-    """What the area that ``key`` belongs to shows of itself; None for anything else: no watcher's business."""
+    """The state or readings in ``payload``; None where it is another message, or not from the area of ``key``."""
     try:
         message = decode(payload)
     except MessageError:

@@ -23,10 +23,10 @@ if TYPE_CHECKING:  # the real imports stand in the command, so that every other 
     Tables = Callable[[Watcher], Mapping[str, Table]]
 
 UPDATE_S = 0.2
-BRANCHES = "branches"  # a table of --json alone
+BRANCHES = "branches"  # a table that only --json has
 LINE_S = 1.0  # between two lines where there is no terminal
 DEFAULT_LISTEN = "127.0.0.1:9464"  # of `dsse metrics`
-ATTEMPT_S = 2.0  # to reach the bus; `dsse metrics` answers questions meanwhile, and tries again
+ATTEMPT_S = 2.0  # to reach the bus; meanwhile `dsse metrics` answers requests, then it tries again
 
 
 @click.command(short_help="Watch a running system from outside.")
@@ -79,7 +79,7 @@ def _load_grid(grid: str | None) -> GridTables | None:
 
 
 def _tables_of(known: GridTables | None, buses: bool, meters: bool) -> Tables:
-    """What makes the tables that are wanted of what a watcher has received."""
+    """Function from a watcher to the tables that are wanted, by name."""
     if not (buses or meters):
         return lambda watcher: {}
     from coordinator.observe.grid_tables import list_buses, list_meters, worst_first
@@ -99,7 +99,7 @@ def _tables_of(known: GridTables | None, buses: bool, meters: bool) -> Tables:
 
 
 def _show_on(look: Callable[[], Watcher], find_tables: Tables, live: bool, as_json: bool) -> None:
-    """Go on showing what ``look`` sees, until Ctrl-C or until nobody reads it any more."""
+    """Show the views of ``look`` until Ctrl-C, or until the reader of standard output has closed it."""
     if live:
         from coordinator.observe.view_text import live_view
 

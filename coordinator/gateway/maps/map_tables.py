@@ -44,8 +44,8 @@ class ReadingTable(Table):
 class MapFile(FileTable):
     """The content of a map file.
 
-    The classes of ``source`` and ``results`` check these tables, and each ``reading`` is checked by itself. So a problem
-    of one part does not hide those of another.
+    The classes of ``source`` and ``results`` check these tables, and each ``reading`` is checked by itself. So a
+    problem of one part does not hide those of another.
     """
 
     kind: ClassVar[FileKind] = GATEWAY_MAP
