@@ -19,7 +19,7 @@ LONGEST_NOTE = 1000  # characters
 MOST_NOTES = 50
 
 Count = Annotated[int, Meta(ge=0, lt=LARGEST_COUNT)]
-BusId = Annotated[int, Meta(ge=-LARGEST_BUS, le=LARGEST_BUS)]  # what a file may call a bus
+BusId = Annotated[int, Meta(ge=-LARGEST_BUS, le=LARGEST_BUS)]  # numbers that a file may give a bus
 Integer = Annotated[int, Meta(gt=-LARGEST_COUNT, lt=LARGEST_COUNT)]
 Number = Annotated[float, Meta(ge=-sys.float_info.max, le=sys.float_info.max)]  # finite: nan is not within, either
 Name = Annotated[str, Meta(max_length=LONGEST_NAME)]

@@ -3,15 +3,15 @@
 =====================================  ============================================================================
 ``area/<i>/boundary/<j>``              boundary messages of area i for neighbour j, angle-offset
 ``area/<i>/up/<j>``, ``down``          messages of rounds of strategy information, towards the hub and from it
-``area/<i>/heartbeat/<j>``             where area i stands in its rounds, and that it receives neighbour j
-``area/<i>/admm/<j>``                  the same of strategy admm
+``area/<i>/heartbeat/<j>``             progress of area i in its rounds, and whether it receives neighbour j
+``area/<i>/admm/<j>``                  boundary messages of strategy admm
 ``area/<i>/load/<j>``                  load messages of area i for neighbour j
-``area/<i>/state``                     what area i knows, for watchers
+``area/<i>/state``                     the state of area i and its basis, for watchers
 ``area/<i>/readings``                  the readings that area i has used in a scan, for recorders
 ``telemetry/<i>/<gateway>``            meter readings for area i, from the plant or a gateway
-``gateway/<name>``                     that the gateway is there, for watchers
-``command/<i>``                        what the operator asks of area i, or of the plant
-``clock``                              how long the run has lasted, from the coordinator, for injected faults only
+``gateway/<name>``                     announcement of a gateway, for watchers
+``command/<i>``                        commands of the operator to area i, or to the plant
+``clock``                              time since the run began, from the coordinator, for injected faults only
 ``live/<role>/<name>/<incarnation>``   presence tokens of areas, plant, gateways, coordinator: one per incarnation;
                                        of areas and the plant with the split on which they work (``live_key``)
 =====================================  ============================================================================
@@ -95,7 +95,7 @@ def clock_key(run: str) -> str:
 
 def live_key(run: str, role: str, name: str, incarnation: Incarnation, split: SplitIdentity = NO_SPLIT) -> str:
     """The key of a presence token: ``START-RANDOM``, then ``-DIGEST-TIME`` of the split on which the process works,
-    then the first digits of what its file was edited to; all in hex digits, time in s.
+    then the first digits of the content of an edited file; all in hex digits, time in s.
     """
     stated = f"-{split.digest}-{int(split.time):x}" if split.digest else ""
     edited = f"-{split.edited[:SHOWN]}" if stated and split.edited else ""
@@ -112,7 +112,7 @@ def all_live(run: str) -> str:
 
 
 def of_any_version(expression: str) -> str:
-    """``expression``, which is of this wire version, in every version; of other versions only names can be found."""
+    """``expression``, which is of this wire version, for every version; processes of other versions are only named."""
     return f"dsse/*/{expression.removeprefix(f'dsse/v{WIRE_VERSION}/')}"
 
 
@@ -159,6 +159,6 @@ def incarnation_of(key: str) -> Incarnation | None:
 
 
 def split_of(key: str) -> SplitIdentity:
-    """The split that a presence token states; of an edited file the first digits of what it was edited to."""
+    """The split that a presence token states; of an edited file only the first digits of its content."""
     found = INCARNATION.fullmatch(key.rpartition("/")[2])
     return SplitIdentity(found[3], float(int(found[4], 16)), found[5] or "") if found and found[3] else NO_SPLIT

@@ -59,7 +59,7 @@ __all__ = [
 ]
 
 WIRE_VERSION = 3
-RECORDED_VERSIONS = (2, WIRE_VERSION)  # that logs of recordings may hold
+RECORDED_VERSIONS = (2, WIRE_VERSION)  # versions that logs of recordings may hold
 MAX_BYTES = 8 * 1024 * 1024
 MAX_NEIGHBOUR_BYTES = 256 * 1024  # of a message from a neighbour; only telemetry and states grow with the area
 KIND = re.compile(r"[a-z0-9_-]{1,32}")  # a part of keys
@@ -81,7 +81,7 @@ LinkMessage = HeartbeatMessage | ExchangeMessage  # states the condition of its 
 Message = LoadMessage | LinkMessage | TelemetryMessage | ReadingsMessage | CommandMessage | ClockMessage | StateMessage
 MESSAGE_TYPES: dict[str, type[Any]] = {
     cls.kind: cls for cls in typing.get_args(Message) if cls is not BoundaryUpdate
-}  # and what strategies add
+}  # and those that strategies add
 
 
 def content_of(message: StateMessage) -> tuple[Any, ...]:
@@ -188,7 +188,7 @@ class _Packing:
         for name in self.names[max(0, len(places) - 2) :]:
             default, factory = known[name].default, known[name].default_factory
             if default is MISSING and factory is MISSING:
-                break  # the message lacks more than what was added
+                break  # the message lacks more than the added fields
             value = default if factory is MISSING else factory()
             places.append(msgspec.Raw(msgspec.msgpack.encode(_PACK[forms[name]](value) if name in forms else value)))
         return msgspec.msgpack.encode([WIRE_VERSION, *places[1:]])

@@ -58,7 +58,7 @@ class Header:
 class LoadMessage:
     """The net load, p.u., of everything on the sender's side of a boundary bus (thesis eqs. 5.1, 5.2).
 
-    ``sigma``: standard deviation of ``p`` and ``q`` that comes from the meters among what is summed.
+    ``sigma``: standard deviation of ``p`` and ``q``, from the meters in the sum.
     """
 
     kind: ClassVar[str] = "load"

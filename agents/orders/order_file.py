@@ -62,7 +62,7 @@ class OrderFile:
         """The commands that were saved last; without a file, none.
 
         Raises:
-            InvalidInputError: the file cannot be read, or is not what ``save`` writes.
+            InvalidInputError: the file cannot be read, or is no file as ``save`` writes it.
         """
         try:
             if not self.path.exists():

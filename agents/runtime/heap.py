@@ -54,5 +54,5 @@ class Heap:
 
 
 def give_back() -> None:
-    """Give free pages between what is in use back to the system; some 0.1 ms of 10 MiB."""
+    """Give free pages between used ones back to the system; this takes some 0.1 ms for 10 MiB."""
     _malloc_trim(0)

@@ -22,7 +22,7 @@ MOST_FLIPPED = 3  # bytes
 
 
 def draw_fate(seed: int, sender: str, receiver: str, number: int, what: str = "") -> float:
-    """A uniform number in [0, 1) for message ``number`` of a directed link; another one for each ``what``."""
+    """A uniform number in [0, 1) for message ``number`` of a directed link; each purpose ``what`` has its own."""
     link = f"{seed}/{sender}/{receiver}/{number}" + (f"/{what}" if what else "")
     digest = hashlib.blake2b(link.encode(), digest_size=8).digest()
     return int.from_bytes(digest, "big") / 2**64

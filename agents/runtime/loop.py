@@ -150,7 +150,7 @@ def _run_configuration(
     *,
     is_first: bool,
 ) -> str | Configuration:
-    """Take part with ``content`` until the end of the process, whose reason is returned, or until the next one counts.
+    """Take part with ``content``; returns the reason for the end of the process, or the next configuration.
 
     The area subscribes first and shows its presence last: a process that sees the token knows that its messages are
     received. ``former``: declarations of the configuration before, which end then. ``is_first``: there was none before.
@@ -229,7 +229,10 @@ def _declare_presence(content: Configuration, session: Session, incarnation: Inc
 
 
 def _listen(content: Configuration, session: Session, kinds: Sequence[str], inbox: Inbox) -> IngressFilter:
-    """Subscribe to all messages and tokens for the area. They go into ``inbox``; messages pass the returned filter."""
+    """Subscribe to all messages and tokens for the area, into ``inbox``.
+
+    Messages of neighbours and telemetry pass the returned filter.
+    """
     run, name = content.run, content.area.name
     neighbours = sorted({n.area for n in content.area.neighbours})
     known = {neighbour_key(run, neighbour, kind, name) for neighbour in neighbours for kind in kinds}

@@ -53,7 +53,7 @@ def warm_up() -> None:
     with_reference = build_area_model(area, readings, NETWORK.buses[1].id, backend="radial")
     for n in area.neighbours:
         with_reference.linear.information(x, n, received)
-    chi_square_limit(1, 0.5)  # which imports what takes 0.1 s and 6 MiB
+    chi_square_limit(1, 0.5)  # imports modules that take 0.1 s and 6 MiB
     _note("exchange")
 
 

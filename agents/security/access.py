@@ -57,7 +57,7 @@ REVOKED = "/revoked"  # a rule's name that is no area's
 class Access:
     """Facts from which the rights of all processes in ``run`` follow.
 
-    ``neighbours``: area -> its neighbours. ``revoked``: names whose keys are in wrong hands. ``gateways``: gateway ->
+    ``neighbours``: area -> its neighbours. ``revoked``: names of stolen keys. ``gateways``: gateway ->
     the areas to which it may send readings; the plant may to all, unless it stands there as ``plant``.
     """
 
@@ -222,7 +222,7 @@ def _for_watchers(access: Access) -> tuple[str, ...]:
 
 
 def zenoh_access_control(access: Access, meets: Iterable[str]) -> dict[str, Any]:
-    """The rules for links with ``meets`` as Zenoh's configuration ``access_control``: what is not allowed is rejected.
+    """The rules for links with ``meets`` as Zenoh's configuration ``access_control``; the default is rejection.
 
     A link with another name, or with a revoked one, may open, and nothing passes on it. Messages and tokens on the
     keys of revoked names are rejected, also where another process passes them on.

@@ -1,8 +1,8 @@
 """``admm``: consensus ADMM (``dsse_core.exchange``), for comparison; its fixed point is the centralised estimate.
 
-An area waits for those of its neighbours whose turn it is, takes steps on its own telemetry and the pulls of its
-boundaries, and sends the neighbours the result (``admm_boundary``). Load messages and the local power flow only start
-the iteration.
+An area waits for the neighbours that have the turn. Then it takes up to ``MOST_STEPS`` steps on its own telemetry and
+the pulls of its boundaries, and sends the neighbours the result (``admm_boundary``). Load messages and the local power
+flow only start the iteration.
 """
 
 from __future__ import annotations

@@ -121,7 +121,7 @@ class AnyStrategy:
 
 
 class Strategy(AnyStrategy, ABC):
-    """One area's side of an asynchronous strategy: it solves with what it knows, and sends each neighbour the result.
+    """One area's side of an asynchronous strategy: its estimate from its knowledge, and a message to each neighbour.
 
     Your own strategy derives from this class, and its distribution names it in an entry point of group
     ``dsse.strategies`` (docs/tutorials/own-strategy.md). The protocol repeats its messages, so that lost ones arrive in

@@ -1,4 +1,4 @@
-"""Start of the iterations of ``admm``, on whose end it has no influence, and angles of the unloaded area."""
+"""Start of the iterations of ``admm``, which has no influence on their end; voltages of the unloaded area."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The log of a process: one printable line for each record, whatever its words."""
+"""The log of a process: one printable line for each record, even with unprintable text in it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dsse_core.printable import printable
 
 
 class PrintableFormatter(logging.Formatter):
-    """Escapes what a terminal would obey: names and notes in a record come from the bus."""
+    """Escapes control characters, which a terminal would obey: names and notes in a record come from the bus."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:
         """The line of ``record``; the traceback of a defect, if there is one, follows on lines of its own."""
