@@ -76,9 +76,7 @@ def _summarise(result: dict[str, Any], wall_s: float, processor_s: float, most: 
 
 
 def _watch_memory(process: subprocess.Popen[str], out: Path) -> dict[str, float]:
-    """Largest memory of the command, of the other processes of the run and of all together until the command ends,
-    MiB.
-    """
+    """Largest memory of the command, of the run's other processes and of all together, until the command ends, MiB."""
     most: dict[str, float] = {}
     while process.poll() is None:
         parent = _find_parent(out)

@@ -131,9 +131,7 @@ def compare(n_bus: int, runs: int) -> Comparison:
 
 
 def _build_network(n_bus: int) -> Network:
-    """The network of the estimates' cases, where no bus but the substation holds its voltage, as in the peers'
-    input.
-    """
+    """The network of the estimates' cases; as in the peers' input, only the substation holds its voltage."""
     network = build_network(n_bus)
     given = (g if g.control is Control.SLACK else replace(g, control=Control.POWER) for g in network.generators)
     return replace(network, generators=tuple(given))

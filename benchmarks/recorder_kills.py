@@ -102,9 +102,7 @@ def find_due(
 
 
 def count_holes(due: list[tuple[float, Published]], recorded: set[Published]) -> int:
-    """Number of missing messages that passed before a present one of the same area and kind: a kill only cuts off the
-    end.
-    """
+    """Number of missing messages before a present one of the same area and kind: a kill only cuts off the end."""
     missing, holes = Counter[tuple[str, str]](), 0
     for _, said in due:
         if said not in recorded:

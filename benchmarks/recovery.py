@@ -33,7 +33,7 @@ DEAD_S = 0.5
 DEADLINE_S = 20.0
 
 HEARTBEAT_S = 0.2  # of the shipped scenarios
-FEW_AREAS = 3  # which can keep a fast heartbeat
+FEW_AREAS = 3  # few enough for a fast heartbeat
 FAST_HEARTBEAT_S = 0.02  # so that a silence of some tens of milliseconds shows
 
 Times = dict[str, list[float]]
@@ -46,8 +46,8 @@ def build_scenario(areas: int, routers: int, heartbeat_s: float) -> Scenario:
 
 
 def kill_area(live: LiveSystem, victim: str) -> dict[str, float]:
-    """Times from the death of ``victim`` until all its neighbours notice it, and from its restart until all areas are
-    good, s.
+    """Times, s: from the death of ``victim`` until all neighbours notice it, from its restart until all areas are
+    good.
     """
     neighbours = [n.area for n in live.scenario.partition.area(victim).neighbours]
     incarnation = live.states[victim].header.incarnation
@@ -82,9 +82,7 @@ def kill_router(live: LiveSystem) -> dict[str, float]:
 
 
 def lose_one_router(live: LiveSystem) -> dict[str, float]:
-    """The longest silences of an area at a watcher: without any fault, and while the first of two routers is dead,
-    s.
-    """
+    """Longest silences of an area at a watcher, s: without any fault, and while the first of two routers is dead."""
     live.forget_silences()
     live.pass_time(DEAD_S)
     usual = live.longest_silence()

@@ -41,7 +41,7 @@ CUT_FOR_S = (0.5, 5.0)
 BETWEEN_S = (0.5, 2.5)  # from one fault to the next
 DOWN_S = (0.2, 4.0)  # length of a fault
 MOST_DOWN = 3  # processes at a time
-SPARED = 2  # areas that are never killed or frozen, so that one incarnation shows what happens to memory
+SPARED = 2  # areas that are never killed or frozen, so that one incarnation shows the course of memory
 WARM_S = 20.0  # until memory counts
 MOST_GROWTH_MIB = 3.0
 RECOVERY_S = 60.0
@@ -59,7 +59,7 @@ class Soak:
     rss_mib: dict[tuple[str, int], list[float]] = field(
         default_factory=dict
     )  # of one incarnation of a process, once a second
-    scans: set[int] = field(default_factory=set)  # of which all areas have shown the centralised estimate
+    scans: set[int] = field(default_factory=set)  # scans of which all areas have shown the centralised estimate
 
     def go_on(self, duration_s: float) -> None:
         """Let faults happen for ``duration_s``."""
@@ -132,7 +132,7 @@ def soak(folder: Path, seed: int, duration_s: float) -> dict[str, object]:
         live.begin()
         under_way = Soak(live, random.Random(seed))
         under_way.go_on(duration_s)
-        live.system.hold_scan()  # else a slow machine might never be done with one before the next
+        live.system.hold_scan()  # else a slow machine might never end a scan before the next
         stopped = time.monotonic()
         recovered = live.wait_until(lambda states: live.gap(states) <= GAP, RECOVERY_S)
         good = live.wait_until(lambda states: all(state.quality == GOOD for state in states.values()), RECOVERY_S)

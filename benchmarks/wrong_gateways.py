@@ -79,8 +79,8 @@ def find_named(bus: SimulatedBus) -> dict[str, str]:
 def run_wrong(name: str, what: str, seed: int) -> tuple[int | None, bool, bool]:
     """(scan, is_false, is_good) of a run with a wrong gateway.
 
-    ``scan``: where the gateway was named, None if nowhere. ``is_false``: another gateway was named until then, or the
-    wrong one in other words. ``is_good``: an area was good before.
+    ``scan``: that in which the gateway was named, None if in none. ``is_false``: another gateway was named until then,
+    or the wrong one in other words. ``is_good``: an area was good before.
     """
     rng, scenario = np.random.default_rng([seed, len(what)]), load_scenario(name, changes={"seed": seed})
     loaded, others = draw_loads(scenario, rng), draw_loads(scenario, rng)
@@ -124,9 +124,7 @@ def run_sound(name: str, scans: int, seed: int) -> Counter[str]:
 
 
 def weigh_sound(name: str, scans: int, seed: int) -> Counter[str]:
-    """Counts as of ``run_sound``, of each area by itself, without information of neighbours, which never adds
-    evidence.
-    """
+    """Counts as of ``run_sound``, of each area by itself: information of neighbours never adds evidence."""
     rng, scenario = np.random.default_rng(seed), load_scenario(name, changes={"seed": seed, "telemetry.noise": False})
     tests = {area.name: GatewayTest(area) for area in scenario.partition.areas}
     sums = dict.fromkeys(((area, factor) for area in tests for factor in MISTAKES), 0.0)

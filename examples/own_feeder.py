@@ -80,7 +80,7 @@ def write_files(folder: Path) -> Path:
 def find_distances() -> dict[int, float]:
     """Bus -> km from the substation."""
     km = {SUBSTATION: 0.0}
-    for upper, lower, length, *_ in CABLES:  # which begin at the substation
+    for upper, lower, length, *_ in CABLES:  # sorted away from the substation
         km[lower] = km[upper] + length
     return km
 

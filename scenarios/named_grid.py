@@ -1,6 +1,4 @@
-"""A grid by name or path, for commands that need neither areas nor meters: of a scenario, or a network file by
-itself.
-"""
+"""A grid by name or path, for commands that need neither areas nor meters: from a scenario or a network file."""
 
 from __future__ import annotations
 

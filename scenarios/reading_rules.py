@@ -81,9 +81,7 @@ def find_gateway_remark(rules: Mapping[str, ReadingRules]) -> str:
 
 
 def find_gateway_problems(file: ScenarioFile, partition: Partition, meters: Sequence[Meter]) -> Iterator[str]:
-    """Gateways of unknown areas, patterns that no meter has, meters that no gateway reads, and a leader that is no
-    gateway.
-    """
+    """Gateways of unknown areas, patterns that fit no meter, unread meters, and a leader that is no gateway."""
     gateways = file.gateways
     if not gateways:
         return
@@ -105,7 +103,7 @@ def find_gateway_problems(file: ScenarioFile, partition: Partition, meters: Sequ
     if file.telemetry.numbered_by == "gateway" and file.telemetry.leader not in known:
         yield f"telemetry.leader: {describe_unknown('gateway', file.telemetry.leader, known)}"
     if has_plant:
-        return  # which reads all
+        return  # the plant reads all meters
     for name in names:
         if unread := [meter_id for meter_id in ids[name] if meter_id not in read[name]]:
             count = f" and {len(unread) - 1} more" if len(unread) > 1 else ""

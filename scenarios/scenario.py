@@ -139,8 +139,8 @@ def load_scenario(
     ignored, except faults of the telemetry. No effect where the readings are those of each area's own power flow.
 
     Raises:
-        InvalidInputError: unknown name; or every problem of the file: first of its keys and types, then of what
-            they say about the network, areas, meters and faults.
+        InvalidInputError: unknown name; or every problem of the file: first of its keys and types, then of their
+            meaning for network, areas, meters and faults.
     """
     path = _find_file(name_or_path)
     file = load_strict(path, ScenarioFile, changes)

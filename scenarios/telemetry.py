@@ -103,9 +103,7 @@ def read_meters(scenario: Scenario, scan: int = 1) -> Scan:
 
 
 def find_lateness(scenario: Scenario, scan: int) -> dict[str, float]:
-    """Area -> lateness of the readings of ``scan`` there, s, by the scenario's faults of telemetry; only areas with
-    any.
-    """
+    """Area -> lateness of the readings of ``scan`` there, s, by the faults of telemetry; areas without are left out."""
     faults = scenario.faults.telemetry
     lateness = {}
     for area in scenario.partition.areas:
@@ -126,7 +124,7 @@ def _draw(scenario: Scenario, scan: int, name: str, count: int) -> np.ndarray:
 
 
 def find_missing_local_slacks(scenario: Scenario) -> list[str]:
-    """Areas that ``area-power-flow`` cannot solve by themselves, as text that says what to add."""
+    """Areas that ``area-power-flow`` cannot solve by themselves, as problems with the keys to add."""
     return [
         f"areas.{area.name}: telemetry.source 'area-power-flow' needs a voltage at its local slack bus "
         f"{area.slack_bus}; give slack_bus and slack_vm_pu"
@@ -155,7 +153,7 @@ def _solve_area_power_flows(scenario: Scenario) -> dict[str, PowerFlowResult]:
 def _read_by_area(
     scenario: Scenario, power_flows: Mapping[str, PowerFlowResult]
 ) -> Iterator[tuple[Sequence[Meter], np.ndarray, np.ndarray]]:
-    """The meters of each area and what ``read_exactly`` finds for them in its own power flow."""
+    """The meters of each area, and their exact values and sizes by ``read_exactly`` in its own power flow."""
     for name, meters in scenario.partition.meters_by_area(scenario.meters).items():
         yield (meters, *read_exactly(power_flows[name], meters))
 

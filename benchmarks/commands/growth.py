@@ -10,8 +10,8 @@ LEAST_GROWTH = 0.05  # from the first of three points to the second, of the firs
 
 
 def find_exponent(sizes: Sequence[int], figures: Sequence[float]) -> float | None:
-    """The k of ``a + b n^k`` through the last three points, whose start-up ``a`` cancels; None where they do not tell
-    it.
+    """The k of ``a + b n^k`` through the last three points, whose start-up ``a`` cancels; None if there is no such
+    k.
     """
     if len(sizes) < 3 or len(sizes) != len(figures):
         return None

@@ -1,6 +1,4 @@
-"""Power flow and estimates of one network: for each start and set of meters the number of steps, or a reason of
-failure.
-"""
+"""Power flow and estimates of one network: for each start and set of meters the iterations, or a reason of failure."""
 
 from __future__ import annotations
 

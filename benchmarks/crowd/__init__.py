@@ -1,1 +1,1 @@
-"""Very many strangers on the bus of a running feeder, and what they cost the watchers."""
+"""Very many strangers on the bus of a running feeder, and their cost for the watchers."""

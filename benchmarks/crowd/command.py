@@ -79,7 +79,7 @@ class Phases:
             self.live.pass_time(LOOK_S)
             seen = [self._is_good(area) for area in self.live.areas]
             gap = self.live.gap(self.live.states) if all(seen) else float("inf")
-            gaps += [gap] if gap < float("inf") else []  # areas show different scans when one has just begun
+            gaps += [gap] if gap < float("inf") else []  # areas show different scans just after a scan has begun
             good += seen
             for name, pid in self.processes.items():
                 memory[name] = max(memory[name], round(psutil.Process(pid).memory_info().rss / 2**20, 1))
@@ -94,7 +94,7 @@ class Phases:
         }
 
     def _is_good(self, area: str) -> bool:
-        """True where the area marks its state as good, and the state is not older than ``SILENT_S``."""
+        """True where the area marks its state as good, and its last state arrived within ``SILENT_S``."""
         age_s = time.monotonic() - self.live.received_at[area]
         return self.live.states[area].quality == GOOD and age_s < SILENT_S
 
@@ -111,9 +111,7 @@ def _spent_s(pid: int) -> float:
 def onlookers(
     endpoint: str, folder: Path, chosen: Sequence[str], keys: Path | None
 ) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
-    """The commands named in ``chosen``, running in ``folder``, which gets their logs. ``keys``: folder of their
-    credentials.
-    """
+    """The commands named in ``chosen``, running in ``folder``, which gets their logs; ``keys``: their credentials."""
     shown = ["--keys", str(keys)] if keys else []
     with ExitStack() as stack:
         started = {}

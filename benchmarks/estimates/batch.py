@@ -80,9 +80,7 @@ def _solve_ours(plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, th
 
 
 def _peer(case: Case, algorithm: str, values: np.ndarray, threads: int) -> Solve:
-    """Batch solver of the peer. ``values``: first the voltages, then P and Q by turns, as ``Case.measurements`` has
-    them.
-    """
+    """Batch solver of the peer; ``values``: the voltages, then P and Q by turns, as ``Case.measurements`` has them."""
     import power_grid_model as pgm
 
     method = PowerGridModelMethod(algorithm, algorithm)

@@ -50,9 +50,7 @@ class Row:
 
 @dataclass(frozen=True)
 class DrawRow:
-    """Counts of random draws: all ``tried``, those with an estimate, and those with one at the lowest J of any
-    method.
-    """
+    """Counts of random draws: ``tried``, with an estimate, and with an estimate at the lowest J of any method."""
 
     n_bus: int
     set_name: str

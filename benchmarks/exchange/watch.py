@@ -23,8 +23,7 @@ BETWEEN_S = 1.5  # at rest, before the next scan
 
 @dataclass(frozen=True)
 class ScanFigures:
-    """One scan. Messages are those delivered to all areas until rest; all but ``boundary`` count until all areas are
-    good.
+    """One scan. Messages are those delivered until rest; all but ``boundary`` count only until all areas are good.
 
     ``boundary``: first sendings, ``repeats``: of the same. ``acknowledgements``: heartbeats that name a message for the
     first time, ``heartbeats``: all others; ``loads``: load messages. ``agree_s``: from the start of the scan until all

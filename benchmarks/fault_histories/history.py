@@ -62,9 +62,7 @@ class HistoryOutcome:
 
 @dataclass(frozen=True)
 class World:
-    """A feeder cut into areas, with the readings of every scan (numbered from 1) and the centralised estimate of
-    each.
-    """
+    """A feeder cut into areas; for every scan (numbered from 1) the readings and their centralised estimate."""
 
     network: Network
     partition: Partition
@@ -130,10 +128,9 @@ def run_history(seed: int) -> HistoryOutcome:
 
 
 def draw_world(rng: np.random.Generator) -> World:
-    """3 to 6 areas of 3 to 8 buses; loads change from scan to scan; readings of voltages and flows are missing now and
-    then.
+    """3 to 6 areas of 3 to 8 buses. Loads change from scan to scan.
 
-    Injections and one voltmeter are always read.
+    Readings of voltages and flows are missing now and then. Injections and one voltmeter are always read.
     """
     n_area = int(rng.choice([3, 4, 5, 6], p=[0.5, 0.25, 0.15, 0.1]))
     network, _ = generate_feeder(n_area * int(rng.integers(3, 9)), rng, lowest_vm=float(rng.uniform(0.92, 0.98)))
@@ -200,9 +197,7 @@ def _distance(world: World, state: StateMessage) -> tuple[np.ndarray, np.ndarray
 
 
 def draw_meters(rng: np.random.Generator, network: Network) -> list[Meter]:
-    """Meters of |V| at the substation and 40 % of the buses, of flows on 60 % of the branches, of injections
-    everywhere.
-    """
+    """Meters of |V| at the substation and 40 % of the buses, of flows on 60 % of the branches, of all injections."""
     assert network.slack is not None
     meters = [Meter(KIND.VM, b.id) for b in network.buses if b.id == network.slack.bus or rng.random() < 0.4]
     for branch in network.active_branches:

@@ -49,7 +49,7 @@ FINDING = "FINDING"
 
 
 class TooLongError(BaseException):
-    """Time limit of an input; no ``Exception``, so that no reader on its way takes it for a mistake in the input."""
+    """An input exceeded its time limit; no ``Exception``, so that no reader takes it for a mistake in the input."""
 
 
 def make_input(name: str, seed: int, number: int) -> bytes:
@@ -57,7 +57,7 @@ def make_input(name: str, seed: int, number: int) -> bytes:
 
 
 def try_input(name: str, content: bytes, folder: Path) -> str:
-    """``accepted``, the reason of a rejection, or ``FINDING`` and what happened."""
+    """``accepted``, the reason of a rejection, or ``FINDING`` and the error."""
     try:
         return TARGETS[name].read(content, folder / name)
     except TooLongError:

@@ -89,9 +89,7 @@ def make_pandapower(samples: Callable[[], tuple[bytes, ...]]) -> Callable[[rando
 
 
 def read_pandapower(content: bytes, path: Path) -> str:
-    """The outcome of an import; an error where a foreign module is imported, or pandas' parser reads a text
-    otherwise.
-    """
+    """The outcome of an import; an error where a foreign module is imported, or pandas' parser reads otherwise."""
     path.write_bytes(content)
     outcome = "accepted"
     try:

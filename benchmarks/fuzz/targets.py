@@ -55,7 +55,7 @@ class Target:
 def make_message(rng: random.Random) -> messages.Message:
     """A well-formed message with random content."""
     for strategy in list_strategies():
-        load_strategy(strategy)  # which makes its messages known
+        load_strategy(strategy)  # importing a strategy registers its messages
     cls = rng.choice(list(messages.MESSAGE_TYPES.values()))
     header = messages.Header("run", "area2", messages.Incarnation(10**12, 1), 1, rng.randrange(100), 1.7e9)
     hints = typing.get_type_hints(cls)

@@ -132,7 +132,7 @@ def _measure(scenario: Scenario, session: Session, scans: list[Scan]) -> tuple[l
         start = time.perf_counter()
         publish_scan()
         latency = _wait_for_consensus(scan, number, publish_scan, received) - start
-        time.sleep(0.05)  # so that the areas have ended what they do
+        time.sleep(0.05)  # until the areas are idle
         while not pong.empty():
             pong.get()
         times = []

@@ -1,6 +1,4 @@
-"""Sections of docs/reference/figures.md: a command writes each, with date and machine, and no section is edited by
-hand.
-"""
+"""Sections of docs/reference/figures.md, each written by a command, with date and machine, and never by hand."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from typing import Any, NoReturn
 import click
 
 FIGURES = Path(__file__).parents[2] / "docs" / "reference" / "figures.md"
-_LEFT_OUT = {"load before", "system", "consensus-dsse", "memory"}  # of the machine: not what figures depend on
+_LEFT_OUT = {"load before", "system", "consensus-dsse", "memory"}  # of the machine: figures do not depend on them
 _SECTION = re.compile(r"<!-- figures (?P<name>\S+) -->\n(?P<body>.*?)<!-- end -->", re.DOTALL)
 
 
@@ -64,7 +62,7 @@ def conclude(
     figures: str | None,
     left_out: Collection[str] = (),
 ) -> NoReturn:
-    """Print what was ``seen``, write section ``figures`` if one is named, and exit: 1 with ``failures``, else 0.
+    """Print the figures ``seen``, write section ``figures`` if given, and exit: 1 with ``failures``, else 0.
 
     ``left_out``: keys of ``seen`` that the section does without.
     """

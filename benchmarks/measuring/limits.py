@@ -13,7 +13,7 @@ GIB = 2**30
 
 
 class LimitedCallError(Exception):
-    """The call gave no answer; the text says why, in one line."""
+    """The call gave no answer; the text is the reason, in one line."""
 
 
 def call_limited(function: Callable[..., Any], *args: Any, limit_s: float, limit_gib: float) -> Any:

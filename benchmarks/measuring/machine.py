@@ -14,9 +14,7 @@ from benchmarks.methods.ours import PACKAGE
 
 
 def find_version(package: str) -> str | None:
-    """Version of an installed package; of ours, git's description of this checkout. None if the package is not
-    installed.
-    """
+    """Version of a package, None if it is not installed; of ours, git's description of this checkout."""
     if package == PACKAGE:
         return _describe_checkout()
     try:

@@ -19,9 +19,7 @@ class NotConvergedError(Exception):
 
 @dataclass(frozen=True)
 class State:
-    """An estimate in network order, ``vm`` p.u., ``va`` rad (0 at the substation); iterations where the tool reports
-    them.
-    """
+    """An estimate in network order, ``vm`` p.u., ``va`` rad (0 at the substation); iterations where they are known."""
 
     vm: np.ndarray
     va: np.ndarray
@@ -39,9 +37,7 @@ class Method(Protocol):
 
     @property
     def package(self) -> str:
-        """Name of the package in pip: its version is reported, and the method is not run where the package is
-        missing.
-        """
+        """Name of the package in pip: its version is reported, and a method without its package is not run."""
         ...
 
     def translate(self, case: Case) -> Any: ...

@@ -34,9 +34,7 @@ class _Content:
 
 @dataclass
 class Feed:
-    """Feed of a watcher. Each look is a scan of all areas of ``scenario``: voltages and readings scatter around the
-    power flow.
-    """
+    """Feed of a watcher. Each look is a scan of all areas: voltages and readings scatter around the power flow."""
 
     scenario: Scenario
     scan: int = 0

@@ -16,10 +16,9 @@ MAIN_THREAD = "CrRendererMain"
 
 @dataclass(frozen=True)
 class Task:
-    """``cpu_ms``: processor time of the thread, ms; ``wall_ms``: from beginning to end; ``at_ms``: since the first
-    task.
+    """``cpu_ms``: processor time of the thread; ``wall_ms``: from beginning to end; ``at_ms``: since the first task.
 
-    ``inside``: the events that took most of it, with their processor time.
+    ``inside``: the events that took most of it, with their processor time, ms.
     """
 
     at_ms: float
@@ -52,8 +51,7 @@ def find_tasks(trace: bytes) -> list[Task]:
 
 
 def _look_inside(task: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> Iterable[tuple[str, float]]:
-    """The events that took most of ``task``, with their processor time, ms; ``events``: in the order of their
-    beginning.
+    """The events that took most of ``task``, with their processor time, ms; ``events``: sorted by their beginning.
 
     A trace has hundreds of thousands of events, and nearly as many tasks, so events are found by their time.
     """

@@ -1,4 +1,4 @@
-"""Meters of the small feeder, made up: every half second a line of JSON with what all of them read.
+"""Meters of the small feeder, made up: every half second a line of JSON with the readings of all of them.
 
 ``python meters.py [SECONDS [PORT]]``: for so long (0: for ever), on standard output or as UDP packets to PORT.
 """

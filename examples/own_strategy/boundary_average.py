@@ -1,8 +1,8 @@
 """Strategy ``boundary-average``: each area estimates alone, then neighbours average the voltage of the bus they share.
 
 Magnitudes: both sides of a boundary know the bus with a standard deviation; the mean weighs them by their variances. An
-area moves all its magnitudes by what the means at its boundaries ask for. Angles: an area adds the difference to its
-parent's angle, as ``angle-offset`` does.
+area moves all its magnitudes by the mean of its steps to the means at its boundaries. Angles: an area adds the
+difference to its parent's angle, as ``angle-offset`` does.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class BoundaryAverage(Strategy):
 
     @classmethod
     def local_meters(cls, area: Area, own: Sequence[Meter]) -> list[Meter]:
-        """Meters of ``own`` that see nothing beyond the boundary: no injections there, and no angles from the
-        substation.
+        """Meters of ``own`` that see nothing beyond the boundary: no injections there, no angles but in the reference
+        area.
         """
         at_boundary = [m for m in own if m.kind.of_injection and m.bus in area.boundary_buses]
         angles = [m for m in own if m.kind is MeasurementKind.VA and not area.is_reference]

@@ -20,7 +20,7 @@ LinkChanges = Mapping[str, float]
 """``delay_s``, ``jitter_s`` and ``duplicate`` that every link is to have instead of the scenario's."""
 ROUTERS = ("router", "router2")
 PROCESSES = ("plant", *ROUTERS)
-ALL_AREAS = "all"  # in place of the name of an area, which no area has
+ALL_AREAS = "all"  # in place of the name of an area; no area has this name
 EventKind = Literal["kill", "restart", "pause", "cut", "silent"]
 
 

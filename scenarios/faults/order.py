@@ -18,7 +18,7 @@ def find_time_problems(events: Sequence[EventTable], timeout_s: float) -> Iterab
 
 
 def find_order_problems(events: Sequence[EventTable]) -> Iterable[str]:
-    """Events that meet a process that is dead, frozen or silent by then, and cuts of what is cut already."""
+    """Events that meet a process that is dead, frozen or silent by then, and cuts of links that are cut already."""
     killed: dict[str, int] = {}
     lasting: dict[frozenset[str], int] = {}
     for i, event in sorted(enumerate(events, 1), key=lambda item: item[1].at_s):

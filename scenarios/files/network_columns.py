@@ -85,9 +85,9 @@ class BranchArrays:
         in_ohm = np.array(
             [b.is_in_ohm for b in given] if isinstance(given, list) else [given.is_in_ohm] * n, dtype=bool
         )
-        rows, base_kv = Rows(buses.id), np.append(buses.base_kv, math.nan)  # which row -1 is
+        rows, base_kv = Rows(buses.id), np.append(buses.base_kv, math.nan)  # row -1: the bus is not defined
         from_kv, to_kv = base_kv[rows.find(from_bus)], base_kv[rows.find(to_bus)]
-        kv = np.where(np.isnan(from_kv), 1.0, from_kv)  # of a bus that is not defined, which Network reports
+        kv = np.where(np.isnan(from_kv), 1.0, from_kv)  # 1.0 for a bus that is not defined; Network reports the bus
         z_base = np.where(in_ohm, kv * kv / base_mva, 1.0)
 
         def take(key: str, default: float = 0.0) -> np.ndarray:

@@ -149,7 +149,7 @@ def _balance(blocks: Sequence[Block], count: int) -> list[list[Block]]:
     while len(areas) < count:
         _, i = heapq.heappop(largest)
         if len(areas[i]) == 1:
-            continue  # one block, be it large, is not cut
+            continue  # a single block is not cut, however large
         first, second = _balance(areas[i], 2)
         areas[i] = first
         areas.append(second)
@@ -261,7 +261,7 @@ def _name_areas(network: Network, areas: Sequence[Sequence[Block]]) -> dict[str,
     walk = [row[network.slack.bus]]
     seen = bytearray(len(row))
     seen[walk[0]] = True
-    for bus in walk:  # which grows: breadth first
+    for bus in walk:  # the list grows: breadth first
         first, last = at.first[bus], at.first[bus + 1]
         if bus in starts:
             area_of = starts[bus]

@@ -18,9 +18,8 @@ __all__ = ["Imported", "import_grid"]
 def import_grid(path: Path, *, name: str | None = None, frequency_hz: float = 50.0) -> Imported:
     """Read a file of another project, which its ending and content tell.
 
-    ``name``: of the network, that of the file if None, made printable: a file may be called what no text can be.
-    ``frequency_hz`` is for power-grid-model alone, whose files do
-    not hold it.
+    ``name``: of the network, that of the file if None; it is made printable, since a file name may hold any character.
+    ``frequency_hz`` is for power-grid-model alone, whose files do not hold it.
 
     Raises:
         InvalidInputError: unknown format, missing optional package, everything that the network model cannot hold, and

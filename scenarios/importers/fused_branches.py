@@ -45,7 +45,7 @@ def fuse_zero_impedances(network: Network) -> tuple[Network, list[Remark]]:
         branches=_moved([b for b in network.branches if root[b.from_bus] != root[b.to_bus]], root),
         generators=tuple(replace(g, bus=root[g.bus]) for g in network.generators),
     )
-    rest, more = fuse_zero_impedances(fused)  # of what is left the median may be larger
+    rest, more = fuse_zero_impedances(fused)  # the median of the remaining branches may be larger
     return rest, [*_find_remarks(network, zero, gone, root), *more]
 
 

@@ -120,7 +120,7 @@ def add_shunts(bus: Bus, shunts: Iterable[complex]) -> Bus:
 
 
 def leave_out_islands(network: Network) -> tuple[Network, list[Remark]]:
-    """``network`` without the buses that no closed branch joins to its slack, and what was left out with them.
+    """``network`` without the buses that no closed branch joins to its slack, and remarks on the parts left out.
 
     Raises:
         InvalidInputError: a source that holds a voltage stands in such an island, so that it may be meant to live.

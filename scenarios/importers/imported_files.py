@@ -39,7 +39,7 @@ file = "readings.csv"
 def write_imported(
     folder: Path, imported: Imported, n_area: int, check: Callable[[Path], None] = lambda _: None
 ) -> tuple[Path, str]:
-    """Write the files into ``folder``; the scenario's path, and a summary of what was converted.
+    """Write the files into ``folder``; the scenario's path, and a summary of the conversion.
 
     ``check``: raises where the scenario at a path is not sound. Then, as after any other error, neither the files nor
     the folders made for them stay.

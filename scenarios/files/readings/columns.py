@@ -123,7 +123,7 @@ def _find_sizes(units: Sequence[str], unit: np.ndarray, meters: Records[Meter], 
     return sizes
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a number that is too large is no sound one
+@np.errstate(over="ignore", invalid="ignore")  # numbers that are too large are not sound
 def _are_possible(kind: np.ndarray, values: np.ndarray, sigmas: np.ndarray, network: Network) -> bool:
     """True where ``ReadingRows`` takes all values and sigmas, p.u. and rad, of meters of a ``kind``, (n,) each."""
     if not (np.isfinite(values).all() and (sigmas >= SMALLEST_SIGMA).all() and (sigmas <= LARGEST_SIGMA).all()):

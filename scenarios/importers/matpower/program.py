@@ -116,7 +116,7 @@ def _without_comment(line: str) -> str:
 
 
 def _execute(case: Case, statement: str, line: int) -> None:
-    """Do what a statement says, or note that it is not understood."""
+    """Execute a statement, or note that it is not understood."""
     name, equals, value = (part.strip() for part in statement.partition("="))
     if equals and (found := re.fullmatch(r"mpc\.(\w+)", name)) and value[:1] in ("[", "{"):
         if found[1] in COLUMNS:

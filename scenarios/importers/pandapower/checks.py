@@ -1,6 +1,4 @@
-"""Checks of a pandapower network before its conversion: complete, and without elements that no network model here
-holds.
-"""
+"""Checks of a pandapower network before its conversion: complete, and without elements that no network here holds."""
 
 from __future__ import annotations
 
@@ -55,9 +53,7 @@ NO_ELEMENTS = {"controller", "measurement"}
 
 
 def find_broken(net: Any) -> Iterator[str]:
-    """Every missing table or column, reference to an index that is not there, and number that cannot be computed
-    with.
-    """
+    """Every missing table or column, reference to a missing index, and number that cannot be computed with."""
     for name in ("sn_mva", "f_hz"):
         if not _is_positive(net.get(name)):
             yield f"{name} is {net.get(name)!r}; {POSITIVE} is expected"
