@@ -264,7 +264,7 @@ class AreaProtocol(ABC):
         yield from self._end.take(self._term, is_over=True)
         yield GoOver(self._next)
 
-    # What comes in
+    # Incoming messages
 
     def _follow(self, ordered: Ordered) -> Iterator[Action]:
         """Follows a command of the operator."""
@@ -328,7 +328,7 @@ class AreaProtocol(ABC):
             self._peers.gone.pop(name, None)  # the token was lost, not the process
         return is_restart
 
-    # What goes out
+    # Outgoing messages
 
     def _header(self, sequence: int) -> Header:
         return Header(

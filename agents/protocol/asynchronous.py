@@ -1,8 +1,8 @@
-"""The protocol of one area under an asynchronous strategy: it reacts to whatever message is newest.
+"""Protocol of one area under an asynchronous strategy: the area reacts to the newest messages.
 
-It solves when there is something new, sends a neighbour a message when what that is to know has changed, and repeats it
-until it is acknowledged. Messages are absolute: of each sender the newest (incarnation, sequence) counts, whatever was
-lost, repeated or overtaken on the way.
+The area solves when it has received something new. It sends a neighbour a message when the content for this neighbour
+has changed, and repeats the message until it is acknowledged. Messages are absolute: of each sender the newest
+(incarnation, sequence) counts, whichever messages were lost, repeated or overtaken on the way.
 """
 
 from __future__ import annotations
@@ -66,14 +66,14 @@ class AsynchronousProtocol(AreaProtocol):
         _, self._no_load_va = find_no_load(content.area)
         self._has_update = True
         self._basis: object = None  # neighbours whose messages are in use, and those present, when it last solved
-        self._set_aside: set[object] = set()  # messages with which no estimate came out, until the next heartbeat
+        self._set_aside: set[object] = set()  # messages that led to no estimate, until the next heartbeat
         self._estimate: Estimate | None = None
         self._notes: tuple[str, ...] = ()
         self._has_solved = False  # since the state was last shown
         self._limits = EstimateLimits(content.limits, [bus.id for bus in content.area.network.buses], content.meters)
         self._gateways = GatewayWatch(content.area)
         self._estimated_scan = 0
-        self._sent: Estimate | None = None  # to neighbours, the last
+        self._sent: Estimate | None = None  # the last one sent to neighbours
 
     def describe_backend(self) -> str:
         """See ``Strategy.describe_backend``."""
@@ -85,7 +85,7 @@ class AsynchronousProtocol(AreaProtocol):
 
     @property
     def _is_at_rest(self) -> bool:
-        return True  # nobody waits for a heartbeat: what is lacking is repeated
+        return True  # no neighbour waits for a heartbeat: missing messages are repeated
 
     def _due_times(self) -> Iterator[float]:
         yield from super()._due_times()
@@ -94,10 +94,10 @@ class AsynchronousProtocol(AreaProtocol):
 
     @property
     def _waits_until(self) -> float:
-        """Until when messages of a former scan are used: by then their senders should have our scan."""
+        """Time until which messages of a former scan are used: by then their senders should be in this scan."""
         return self._scan.entered_at + FRESH_HEARTBEATS * self._heartbeat_s
 
-    # What comes in
+    # Incoming messages
 
     def _find_rejection(self, message: Message) -> str:
         return self._strategy.find_rejection(message) if isinstance(message, BoundaryUpdate) else ""
@@ -128,7 +128,7 @@ class AsynchronousProtocol(AreaProtocol):
             if peer.take_number(message.header.sequence, self._now):
                 peer.boundary, self._has_update = message, True
 
-    # What is made of it
+    # The estimate
 
     def _act(self, *, is_heartbeat: bool) -> Iterator[Action]:
         if is_heartbeat:  # an iteration that ran out of steps goes on
@@ -144,9 +144,9 @@ class AsynchronousProtocol(AreaProtocol):
             yield from self._work()
 
     def _work(self) -> Iterator[Action]:
-        """Publish what is new. Numbers beyond all reason, a neighbour's perhaps, leave no estimate and no crash."""
+        """Yields new messages. Unreasonable numbers, perhaps of a neighbour, leave no estimate, but cause no crash."""
         problem = ""
-        for _ in range(2):  # with all that was received; if that leads nowhere, from the own telemetry alone
+        for _ in range(2):  # with all received messages; if that fails, with the own telemetry alone
             try:
                 yield from self._send_loads()
                 yield from self._solve()
@@ -157,9 +157,9 @@ class AsynchronousProtocol(AreaProtocol):
         self._estimate, self._notes = None, (problem,)
 
     def _start_anew(self) -> None:
-        """Forget where the iteration is, as a restart would, and leave aside what was received.
+        """Drops the state of the iteration, as a restart would, and sets the received messages aside.
 
-        What the neighbours have received on such a ground is replaced by the first estimate that follows.
+        The first estimate that follows replaces the messages that neighbours have received so far.
         """
         self._strategy, self._sent = type(self._strategy)(self._content), None
         for _, peer in self._peers.items():
@@ -167,7 +167,7 @@ class AsynchronousProtocol(AreaProtocol):
         self._rejections.count("led to no estimate")
 
     def _solve(self) -> Iterator[Publish]:
-        """Solve, and send the neighbours what is new."""
+        """Solves, and yields new messages to the neighbours."""
         estimate, notes = self._strategy.solve(self._knowledge())
         if estimate is not None and not estimate.is_reasonable(self._no_load_va):
             raise ArithmeticError("it is beyond reason")
@@ -191,9 +191,10 @@ class AsynchronousProtocol(AreaProtocol):
         return {name: load for name, load in loads.items() if self._peers[name].received_load not in self._set_aside}
 
     def _usable(self) -> dict[str, BoundaryUpdate]:
-        """The boundary messages in use: those of a former scan for a while, of a later one as long as it is received.
+        """Returns the boundary messages in use: those of this scan; those of a former scan for a while; those of a
+        later scan as long as their sender is received.
 
-        Longer they would pass for knowledge of a state that has moved on, or of a plant that is no more.
+        After that, the state of the grid has changed, or the plant that numbered the scan has ended.
         """
         waits, usable = self._now < self._waits_until, {}
         for name, peer in self._peers.items():
@@ -207,10 +208,10 @@ class AsynchronousProtocol(AreaProtocol):
                 usable[name] = message
         return usable
 
-    # What goes out
+    # Outgoing messages
 
     def _is_outdated(self, name: str) -> bool:
-        """Whether the last message to a neighbour is none, or of another scan: the next one is new whatever it says."""
+        """True where a neighbour has been sent no message of this scan: the next one is new whatever it states."""
         last = self._peers[name].exchange.message
         return last is None or last.header.scan != self.scan
 
@@ -234,15 +235,17 @@ class AsynchronousProtocol(AreaProtocol):
         return not (overdue or is_apart or self._find_old(PASSED_ON_HEARTBEATS) - {name})
 
     def _find_old(self, heartbeats: float = FRESH_HEARTBEATS) -> set[str]:
-        """Neighbours that are not received, in another scan or not complete, or whose newest message is not here."""
+        """Returns the neighbours that are not received, in another scan or not complete, or whose newest message is not
+        here.
+        """
         everybody = frozenset(self._peers)
         missed = {name for name, p in self._peers.items() if p.boundary is None or p.k != p.received_sequence}
         return missed | self._peers.find_old(self._term, everybody, self._now, heartbeats)
 
-    # What is published
+    # The published state
 
     def _show(self, *, is_heartbeat: bool) -> Iterator[Publish]:
-        """The state where it has changed, and at every heartbeat."""
+        """Yields the state if it has changed, and at every heartbeat."""
         findings = list(self._findings())
         self._end.note(self._term, self._estimate, findings, self._now, is_end=self.scan > 0, is_heartbeat=is_heartbeat)
         assessment, last = assess(findings), self._published.message
@@ -259,7 +262,7 @@ class AsynchronousProtocol(AreaProtocol):
             yield Publish(state, None)
 
     def _findings(self) -> Iterator[Finding]:
-        """What is to be noted of the estimate now; new readings leave it behind until they have been worked in."""
+        """Yields the findings on the estimate as of now; after new readings it is outdated until they are worked in."""
         estimate = self._estimate
         yield from (Finding(DEGRADED if estimate else NONE, note, note.partition(":")[0]) for note in self._notes)
         yield from find_rejected_clocks(self._rejections.ahead)
@@ -293,7 +296,7 @@ class AsynchronousProtocol(AreaProtocol):
         yield from map(self._find_doubt, sorted(self._find_old() - self._peers.gone.keys()))
 
     def _find_doubt(self, name: str) -> Finding:
-        """Why a neighbour's side does not count as known."""
+        """Returns the reason for which a neighbour's side does not count as known."""
         peer = self._peers[name]
         if peer.boundary is None or peer.k != peer.received_sequence:
             return Finding(DEGRADED, f"the newest boundary message from {name} is not here")

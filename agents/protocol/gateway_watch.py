@@ -1,4 +1,4 @@
-"""Gateways that are wrong as a whole, found over several scans by all that the area knows beside their readings."""
+"""Gateways that are wrong as a whole, found over several scans from all other data of the area."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dsse_core.linear.boundary_information import BoundaryInformation
 
 
 class GatewayWatch:
-    """``mistaken``: gateway -> what looks wrong with all of its power readings, in words."""
+    """Watch on the gateways of an area. ``mistaken``: gateway -> likely mistake in all its power readings, in words."""
 
     def __init__(self, area: Area) -> None:
         self.mistaken: Mapping[str, str] = {}
@@ -26,9 +26,9 @@ class GatewayWatch:
     def weigh(
         self, scan: int, readings: Readings, known: tuple[np.ndarray, Mapping[str, BoundaryInformation]] | None
     ) -> None:
-        """Count the evidence of ``scan`` once; ``known``: state of the area and information of its neighbours.
+        """Counts the evidence of ``scan`` once; ``known``: state of the area and information of its neighbours.
 
-        A gateway counts again when all its powers have been measured anew: evidence of one reading counts once.
+        A gateway counts again when all its powers have been measured again: evidence of one reading counts once.
         """
         if scan == self._scan:
             return
@@ -58,7 +58,7 @@ class GatewayWatch:
         x, received = known or (None, {})
         try:
             found = self._test.weigh(readings.measurements, meters, x, received)
-        except FAILURES:  # of absurd readings, which others note
+        except FAILURES:  # absurd readings, which other checks note
             found = {}
         former = self._sums.get(gateway, {})
         self._sums[gateway] = {factor: add_up(former.get(factor, 0.0), found.get(factor, 0.0)) for factor in MISTAKES}

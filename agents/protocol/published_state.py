@@ -1,4 +1,4 @@
-"""The state message of an area: composed when it is to be published, numbered anew where it says something new."""
+"""The state message of an area: composed when it is published, with a new number when its content is new."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ class PublishedState:
         self._splits = splits
         self._header_for = header_for
         self._described: tuple[Estimate | None, dict[str, Any]] = None, describe_estimate(None, ())  # the last one
-        self._standing: object = None  # what makes a state be published that stays the same
+        self._standing: object = None  # a change of it publishes a state with the same estimate
 
     def is_as_shown(self, quality: str, old_sides: tuple[str, ...]) -> bool:
-        """Whether the last state says what holds now beside the estimate and what the strategy notes.
+        """True where the last state is right as of now, apart from the estimate and the notes of the strategy.
 
-        That fewer sides are old is no updates by itself: it waits for the last one, or for the heartbeat.
+        Fewer old sides alone are no reason to publish: the state waits for a new quality, or for the heartbeat.
         """
         shown = self.message.old_sides if self.message else ()
         return self._standing == self._find_standing(quality) and set(old_sides) <= set(shown)
@@ -69,11 +69,11 @@ class PublishedState:
         now: float,
         ages: Ages,
     ) -> StateMessage:
-        """The state of ``scan`` as things are at time ``now``, but for what the links have counted.
+        """Returns the state of ``scan`` at time ``now``, without the counts of the links.
 
         ``ages``: of the readings that ``estimate`` rests on.
 
-        Under one number only what ``content_of`` leaves out may change.
+        States of one sequence number differ only in fields that ``content_of`` leaves out.
         """
         peers, last = sorted(self._peers.items()), self.message
         state = StateMessage(
@@ -106,14 +106,14 @@ class PublishedState:
         return state
 
     def _describe(self, estimate: Estimate | None) -> dict[str, Any]:
-        """``describe_estimate``, once for the one that every heartbeat repeats."""
+        """See ``describe_estimate``; called once for an estimate, which every heartbeat repeats."""
         if self._described[0] is not estimate:
             self._described = estimate, describe_estimate(estimate, self._buses)
         return self._described[1]
 
 
 def describe_estimate(estimate: Estimate | None, buses: tuple[int, ...]) -> dict[str, Any]:
-    """The fields of a state that ``estimate`` fills; without one all are empty."""
+    """Returns the fields of a state that ``estimate`` fills; all are empty without an estimate."""
     if estimate is None:
         empty: dict[str, Any] = dict.fromkeys(("buses", "vm", "va", "sigma_vm", "sigma_va", "removed", "critical"), ())
         return empty | {"referenced": False, "objective": 0.0, "degrees_of_freedom": 0, "checked": False}

@@ -1,8 +1,8 @@
-"""The quality of a published state, and why. docs/explanation/quality.md says what each quality promises.
+"""Quality of a published state, with its reasons. docs/explanation/quality.md states the promise of each quality.
 
-Everything that is noted of an estimate is a ``Finding``: a sentence, and the best quality that it leaves. The
-quality of a state is the worst of its findings, and its notes are their sentences, the worst first. So neither can be
-without the other: a state that is not good has a note that says why, and one without such a note is good.
+Every note on an estimate is a ``Finding``: a sentence, and the best quality that it leaves. The quality of a state is
+the worst of its findings, and its notes are their sentences, the worst first. So neither can be without the other: a
+state that is not good has a note with the reason, and a state without such a note is good.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE = "good", "degraded", "relative-angl
 UNOBSERVABLE = "unobservable"
 QUALITIES = (GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE, UNOBSERVABLE)  # from the best to the worst
 
-EARLY_S = 1.0  # ahead of the own clock, from which on a scan is remarked
+EARLY_S = 1.0  # ahead of the own clock, from which on a scan is noted
 
 
 class Finding(NamedTuple):
     """``note``: a sentence about an estimate. ``quality``: the best that it can be; good for a mere remark.
 
-    ``about``, where the note has figures or names many: what it says without them; ``whom``: the names.
+    ``about``: the note without figures and names, given where the note has these; ``whom``: the names.
     """
 
     quality: str
@@ -42,24 +42,24 @@ class Finding(NamedTuple):
 
 
 class Assessment(NamedTuple):
-    """The ``quality`` of a state, and ``notes``: the first of a state that is not good says why."""
+    """The ``quality`` of a state, and ``notes``: unless the state is good, the first one is the reason."""
 
     quality: str
     notes: tuple[str, ...]
 
 
 def assess(findings: Iterable[Finding]) -> Assessment:
-    """The worst quality, and all notes, the worst first; a note that is found twice is reported once."""
+    """Returns the worst quality, and all notes, the worst first; equal notes are reported once."""
     ordered = sorted(findings, key=lambda finding: -QUALITIES.index(finding.quality))
     quality = ordered[0].quality if ordered else GOOD
     return Assessment(quality, limit_notes(tuple(dict.fromkeys(finding.note for finding in ordered))))
 
 
 def assess_from_outside(state: StateMessage | None, silence: str, disputes: Sequence[str] = ()) -> Assessment:
-    """The quality of ``state``, the last one received of an area, as its receiver sees it.
+    """Returns the quality of ``state``, the last one received from an area, as its receiver sees it.
 
-    ``silence``: why the area publishes no more, empty if it does: what was right once is stale then. ``disputes``: what
-    other areas contradict, which it may not know.
+    ``silence``: the reason why the area publishes no more, empty if it publishes; the state of a silent area is stale.
+    ``disputes``: contradictions that other areas state, which the area itself may not know.
     """
     if state is None:
         return Assessment(NONE, (silence or "never received",))
@@ -75,7 +75,7 @@ def assess_from_outside(state: StateMessage | None, silence: str, disputes: Sequ
 
 
 class EstimateLimits:
-    """What an estimate of an area must keep: voltages within ``limits``, most of ``meters`` in use."""
+    """Limits that an estimate of an area must keep: voltages within ``limits``, most of ``meters`` in use."""
 
     def __init__(self, limits: StateLimits, buses: Sequence[int], meters: Iterable[Meter]) -> None:
         self._limits = limits
@@ -83,7 +83,7 @@ class EstimateLimits:
         self._n_meters = sum(meter.source is not Source.VIRTUAL for meter in meters)
 
     def find_breaches(self, estimate: Estimate) -> Iterator[Finding]:
-        """Where ``estimate`` leaves them, and where it rests on meters of which one is wrong."""
+        """Yields findings where ``estimate`` exceeds the limits, or the readings do not tell which meter is wrong."""
         limits, vm = self._limits, estimate.vm
         outside = np.flatnonzero((vm < limits.lowest_vm) | (vm > limits.highest_vm))
         if outside.size:
@@ -112,19 +112,22 @@ class EstimateLimits:
 
 
 def find_missing_side(name: str) -> Finding:
-    """That a neighbour says that not all on its side is received and fresh."""
+    """Returns the finding that neighbour ``name`` does not state that all on its side is received and fresh."""
     return Finding(DEGRADED, f"behind {name} something is missing or old")
 
 
 def find_gone(name: str, leave_reason: str) -> Finding:
-    """That the process of a neighbour has ended."""
+    """Returns the finding that the process of a neighbour has ended."""
     return Finding(
         DEGRADED, f"neighbour {name} has left: {leave_reason}" if leave_reason else f"neighbour {name} is gone"
     )
 
 
 def find_rejected_clocks(ahead: Mapping[str, float]) -> Iterator[Finding]:
-    """Senders rejected as from the future, "" for the plant -> by how much, s; who is missed is noted elsewhere."""
+    """Yields a finding for each sender rejected as from the future; its absence has a finding of its own.
+
+    ``ahead``: sender, "" for the plant -> lead of its clock, s.
+    """
     for name, lead in sorted(ahead.items()):
         yield Finding(
             GOOD,
@@ -136,13 +139,16 @@ def find_rejected_clocks(ahead: Mapping[str, float]) -> Iterator[Finding]:
 
 
 def find_contradictions(contradictions: Mapping[str, str]) -> Iterator[Finding]:
-    """Neighbour -> in what its area file contradicts that of this area; that it is missed is noted elsewhere."""
+    """Yields a finding for each neighbour that contradicts this area; its absence has a finding of its own.
+
+    ``contradictions``: neighbour -> contradiction of its area file or strategy with this area, in words.
+    """
     for name, what in sorted(contradictions.items()):
         yield Finding(DEGRADED, f"{name} is rejected: {what}")
 
 
 def find_other_splits(uses: Sequence[SplitUse], own_name: str) -> Iterator[Finding]:
-    """Files that are not of the newest split of ``uses``, or were edited since; ``own_name``: of this area."""
+    """Yields findings for files not of the newest split of ``uses``, or edited since; ``own_name``: of this area."""
     newest, is_named = find_newest(uses), False
     for use in uses:
         if use.split == newest and newest.is_sound:
@@ -157,7 +163,7 @@ def find_other_splits(uses: Sequence[SplitUse], own_name: str) -> Iterator[Findi
 
 
 def find_next_split(totals: Totals, edited: SplitIdentity) -> Iterator[Finding]:
-    """Files of the next split that lie ready, and ``edited``: one that cannot be used."""
+    """Yields findings for files of next splits that lie ready in some areas only, and ``edited``: an unusable file."""
     for split, count in totals.held:
         if count < totals.areas or len(totals.held) > 1:
             what = f"the file of the next {split} lies ready in {count} of {totals.areas} areas"
@@ -167,7 +173,7 @@ def find_next_split(totals: Totals, edited: SplitIdentity) -> Iterator[Finding]:
 
 
 def find_far_scans(far_scans: Mapping[str, int]) -> Iterator[Finding]:
-    """Neighbour -> the scan far ahead of the telemetry that was announced in its name."""
+    """Yields findings; ``far_scans``: neighbour -> the scan far ahead of the telemetry announced in its name."""
     for name, scan in sorted(far_scans.items()):
         yield Finding(
             GOOD,
@@ -179,13 +185,13 @@ def find_far_scans(far_scans: Mapping[str, int]) -> Iterator[Finding]:
 
 
 def find_unreadable_payloads(unreadable: Mapping[str, str]) -> Iterator[Finding]:
-    """Neighbour or gateway -> what is wrong with a payload of its that is no message."""
+    """Yields findings; ``unreadable``: neighbour or gateway -> fault of its payload that is no message."""
     for name, detail in sorted(unreadable.items()):
         yield Finding(GOOD, f"payloads of {name} are rejected, {detail}", "payloads are rejected", [name])
 
 
 def find_skewed_clocks(skewed: Mapping[str, Skew]) -> Iterator[Finding]:
-    """Neighbours whose clocks are too far from that of this area."""
+    """Yields a finding for each neighbour whose clock is too far from that of this area."""
     for name, skew in sorted(skewed.items()):
         where = "ahead of" if skew.ahead_s > 0 else "behind"
         yield Finding(
@@ -197,7 +203,7 @@ def find_skewed_clocks(skewed: Mapping[str, Skew]) -> Iterator[Finding]:
 
 
 def find_overdue_readings(ages: Ages, most_overdue: float, now: float) -> Iterator[Finding]:
-    """Readings that are older than two of their intervals, and what that leaves of an estimate which rests on them."""
+    """Yields findings for overdue readings (``KindRule.overdue_s``), and for the quality of an estimate from them."""
     if overdue := ages.find_overdue(now):
         yield Finding(GOOD, f"overdue: the reading of {_first_of(overdue)}", "overdue", overdue)
     share = ages.overdue_share(now)
@@ -213,7 +219,7 @@ def find_overdue_readings(ages: Ages, most_overdue: float, now: float) -> Iterat
 
 
 def find_early_scan(lead_s: float) -> Iterator[Finding]:
-    """That the scan has come more than a moment before its time by the area's clock."""
+    """Yields a finding where the scan has begun ``EARLY_S`` or more before its time by the area's clock."""
     if lead_s >= EARLY_S:
         yield Finding(
             GOOD,
@@ -222,12 +228,12 @@ def find_early_scan(lead_s: float) -> Iterator[Finding]:
 
 
 def find_left_out_readings(readings: Readings) -> Iterator[Finding]:
-    """Meters whose newest reading is not used, and why."""
+    """Yields findings for meters whose newest reading is not used, with the reason."""
     if readings.too_old:
         yield Finding(GOOD, f"too old: the reading of {_first_of(readings.too_old)}", "too old", readings.too_old)
     by_reason: dict[tuple[str, str], list[str]] = {}
     for meter_id, reason in readings.why_rejected.items():
-        if meter_id not in readings.invalid:  # which is noted of all of these
+        if meter_id not in readings.invalid:  # which has a finding of its own
             quality = DEGRADED if meter_id in readings.mistimed else GOOD
             by_reason.setdefault((quality, reason), []).append(meter_id)
     for (quality, reason), meters in sorted(by_reason.items()):
@@ -235,7 +241,7 @@ def find_left_out_readings(readings: Readings) -> Iterator[Finding]:
 
 
 def find_mistaken_gateways(mistaken: Mapping[str, str]) -> Iterator[Finding]:
-    """Gateways whose power readings are wrong as a whole -> what is wrong with them."""
+    """Yields findings; ``mistaken``: gateway whose power readings are wrong as a whole -> mistake, in words."""
     for gateway, words in sorted(mistaken.items()):
         yield Finding(
             DEGRADED,
@@ -247,7 +253,10 @@ def find_mistaken_gateways(mistaken: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def find_leader_clock(leader: str, ahead_s: float) -> Iterator[Finding]:
-    """Clock of the gateway that numbers scans, ``ahead_s`` ahead of the own one: its readings are not of now."""
+    """Yields a finding where the clock of the gateway that numbers scans is ``ahead_s`` ahead of the own one.
+
+    The readings of this gateway are not of the present then.
+    """
     if ahead_s:
         where = "ahead of" if ahead_s > 0 else "behind"
         yield Finding(
@@ -259,7 +268,7 @@ def find_leader_clock(leader: str, ahead_s: float) -> Iterator[Finding]:
 
 
 def find_missing_readings(silent: Sequence[str], invalid: Sequence[str]) -> Iterator[Finding]:
-    """Meters without a reading that can be used; the standard deviations of the estimate say what that means."""
+    """Yields findings for meters without a usable reading; the standard deviations of the estimate show the effect."""
     if invalid:
         yield Finding(GOOD, f"marked invalid: the reading of {_first_of(invalid)}", "marked invalid", invalid)
     if silent:
@@ -267,12 +276,12 @@ def find_missing_readings(silent: Sequence[str], invalid: Sequence[str]) -> Iter
 
 
 def find_meters_off(meters: Sequence[str]) -> Iterator[Finding]:
-    """Meters that the operator has switched off."""
+    """Yields a finding for the meters that the operator has switched off."""
     if meters:
         yield Finding(GOOD, f"switched off by the operator: {_first_of(meters)}", "switched off", meters)
 
 
 def _first_of(meters: Sequence[str]) -> str:
-    """The first by its id, and how many there are beside it."""
+    """Returns the id of the first meter, and the number of the others."""
     n = len(meters) - 1
     return f"{meters[0]} and {n} other{'s' if n > 1 else ''}" if n else meters[0]

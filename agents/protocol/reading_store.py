@@ -1,7 +1,7 @@
 """The newest reading of each meter of an area, from any gateway, and which readings are rejected.
 
-Of two readings of a meter the one that was measured later counts, so that neither the order in which messages come nor
-how often they do matters. What is rejected does not take the place of what there is.
+Of two readings of a meter the one that was measured later counts. So neither the order nor the number of messages
+matters. A rejected reading never replaces an accepted one.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from dsse_core.reading_rules import ANYBODY, KindRule, allowed_lead_s
 INVALID = "marked invalid"  # a reason of rejection
 AHEAD = "time in the future"  # another
 OUTLIVED = "measured long before its scan"  # another
-UNKNOWN, NOT_ITS_METER = OF_THE_SENDER = "unknown meter", "meter of another gateway"  # of whom no meter is to blame
+UNKNOWN, NOT_ITS_METER = OF_THE_SENDER = "unknown meter", "meter of another gateway"  # no meter is to blame for these
 Order = tuple[float, str, tuple[Incarnation, int]]
-"""Which of two readings of a meter is newer: when it was measured; of equal times, by whom and in which message."""
+"""Order of the readings of a meter: time of measurement; at equal times gateway, then message."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What a meter read at ``order[0]``, s since 1970 UTC; p.u. or rad."""
+    """Reading of a meter, p.u. or rad, measured at ``order[0]``, s since 1970 UTC."""
 
     value: float
     sigma: float
@@ -41,10 +41,11 @@ class Reading:
 
 
 class ReadingStore:
-    """``newest``: meter id -> its newest reading. ``why_rejected``: meter id -> why its newer one is not there.
+    """Newest readings of the meters of an area, without those that belong to a scan.
 
-    ``rejected``: how many readings were rejected, by reason. ``off``: ids of the meters that the operator has switched
-    off, which the next snapshot leaves out.
+    ``newest``: meter id -> its newest reading. ``why_rejected``: meter id -> reason for which a newer one was rejected.
+    ``rejected``: number of rejected readings, by reason. ``off``: ids of the meters that the operator has switched off,
+    which the next snapshot leaves out.
     """
 
     def __init__(self, content: Configuration) -> None:
@@ -63,26 +64,27 @@ class ReadingStore:
 
     @property
     def has_meters(self) -> bool:
-        """Whether there is anything to be read."""
+        """True where the area has a real meter that is not switched off."""
         return bool(self._meters.keys() - self.off)
 
     @property
     def is_complete(self) -> bool:
-        """Whether there is a reading of every meter."""
+        """True where every real meter that is not switched off has a reading."""
         return self.newest.keys() >= self._meters.keys() - self.off
 
     @property
     def newest_time(self) -> float:
-        """When the newest reading was measured, s since 1970 UTC; 0 without one."""
+        """Time of measurement of the newest reading, s since 1970 UTC; 0 without one."""
         return max((reading.time for reading in self.newest.values()), default=0.0)
 
     def rule_of(self, meter: Meter) -> KindRule:
-        """What holds for the readings of ``meter``."""
+        """Returns the rule for the readings of ``meter``."""
         return self._rules.rule_of(meter.kind)
 
     def is_of_scan(self, meter: Meter | None, gateway: str) -> bool:
-        """Whether a reading, of a meter that is not known (None) too, belongs to the scan of its message: it counts in
-        no other, and does not age.
+        """True where a reading belongs to the scan of its message; ``meter``: None for an unknown one.
+
+        Such a reading counts in no other scan, and does not age.
         """
         return self._numbers_scans(gateway) and (meter is None or self.rule_of(meter).period_s is None)
 
@@ -90,7 +92,7 @@ class ReadingStore:
         return self._rules.ticks == "gateway" and gateway == self._rules.leader
 
     def find_rejection(self, meter_id: str, gateway: str, value: float, sigma: float, *, is_valid: bool) -> str:
-        """Why a reading cannot be used, whenever it was measured; empty if it can."""
+        """Returns the reason for which a reading cannot be used, whatever its time; empty if it can."""
         meter = self._meters.get(meter_id)
         if meter is None:
             return UNKNOWN
@@ -104,14 +106,14 @@ class ReadingStore:
         return find_reading_rejection(value, sigma)
 
     def take(self, message: TelemetryMessage, wall: float) -> bool:
-        """Keep what is newer than what there is, at ``wall``, s since 1970; whether anything is.
+        """Keeps the readings that are newer than the known ones; returns whether any is kept.
 
-        Readings that belong to a scan are left to that.
+        ``wall``: now, s since 1970. Readings that belong to a scan are left to ``Readings``.
         """
         gateway, order = message.header.sender, message.header.order
         is_repeated, self._taken[gateway] = self._taken.get(gateway) == order, order
         if self._all_at_every_scan and self._numbers_scans(gateway):
-            return False  # without a look at each of them: at rest this is sent at every heartbeat
+            return False  # without a loop over the readings: at rest this message comes at every heartbeat
         is_changed = False
         columns = message.meters, message.values, message.sigmas, message.times, message.valid
         for meter_id, value, sigma, time, is_valid in zip(*columns, strict=True):
@@ -122,7 +124,7 @@ class ReadingStore:
             known = self.newest.get(meter_id)
             is_behind = known is not None and reading.order <= known.order
             if known is not None and is_behind and known.time <= wall + self.lead_s:
-                continue  # else the area's clock has been set back: what it took for now is the future
+                continue  # otherwise the area's clock was set back, and the known reading is of the future
             reason = self.find_rejection(meter_id, gateway, value, sigma, is_valid=is_valid)
             if not reason and time > wall + self.lead_s:
                 reason = AHEAD

@@ -1,10 +1,10 @@
 """The readings that an area works with in its current scan, and the net load that follows from them.
 
 A reading of a scan comes with the message of that scan. All others are the newest of their meters, from any gateway,
-and their standard deviations grow with their age. What is taken once is worked with until it is taken anew.
+and their standard deviations grow with their age. A snapshot is used until the next one is taken.
 
-The stated time of a reading always counts. A reading of a scan must have been measured at most some scans before the
-message was made that states it: a scan may be held for long, and its readings do not age meanwhile.
+The stated time of a reading always counts. A reading of a scan must have been measured at most some scans before its
+message was made: a scan may be held for long, and its readings do not age meanwhile.
 """
 
 from __future__ import annotations
@@ -26,22 +26,26 @@ DEADLINE_HEARTBEATS = 5  # after which an area goes on without its own readings;
 DEADLINE_SHARE = 1 / 4  # of the time between two scans, where that is known
 
 Read = dict[str, tuple[Measurement, float]]
-"""Meter id -> its reading, and when it was measured, s since 1970 UTC."""
+"""Meter id -> its reading, and the time of measurement, s since 1970 UTC."""
 
 
 def expected_scan_s(content: Configuration) -> float:
-    """The time between two scans, s; where it is not known, the one of which an area waits a share."""
+    """Returns the time between two scans, s.
+
+    Where it is not known: the time of which ``DEADLINE_SHARE`` lasts ``DEADLINE_HEARTBEATS``.
+    """
     return content.scan_s or DEADLINE_HEARTBEATS / DEADLINE_SHARE * content.beat_s
 
 
 @dataclass(frozen=True)
 class Ages:
-    """How old readings were when they were taken at once, and when they will be overdue.
+    """Ages of the readings of one snapshot, and the times at which they become overdue.
 
-    ``taken_at``: to which moment of the area's clock their ages count, s since 1970; ``times``: meter id -> when it was
-    read, s since 1970 UTC. ``overdue_at``: meter id -> when its reading is overdue, of those that have an interval, by
-    the monotonic clock: no clock that is set makes a reading younger. ``n_with_interval``: how many meters have one.
-    ``mistimed_share``: of the readings of the scan, those that are not used as their time is not that of the scan.
+    ``taken_at``: moment of the area's clock to which the ages count, s since 1970. ``times``: meter id -> time of its
+    reading, s since 1970 UTC. ``overdue_at``: meter id, of the meters with an interval -> time at which its reading
+    becomes overdue, by the monotonic clock: setting a clock makes no reading younger. ``n_with_interval``: number of
+    meters with an interval. ``mistimed_share``: share of the readings of the scan that are not used, as their time is
+    not that of the scan.
     """
 
     taken_at: float = 0.0
@@ -56,18 +60,18 @@ class Ages:
 
     @cached_property
     def oldest_s(self) -> float:
-        """The age of the oldest reading when they were taken, s; 0 without one."""
+        """Age of the oldest reading when the snapshot was taken, s; 0 without one."""
         return max(0.0, self.taken_at - min(self.times.values(), default=self.taken_at))
 
     def find_overdue(self, now: float) -> list[str]:
-        """Ids of the meters whose readings are overdue at monotonic time ``now``."""
+        """Returns the ids of the meters whose readings are overdue at monotonic time ``now``."""
         if not bisect_right(self._overdue_times, now):
             return []
         return [meter_id for meter_id, at in self.overdue_at.items() if at <= now]
 
     def overdue_share(self, now: float) -> float:
-        """Which share of the meters with an interval has no reading, or one that is overdue; of the readings of the
-        scan the share that is of another time, if that is more.
+        """Returns the share of the meters with an interval whose reading is missing or overdue, or
+        ``mistimed_share`` if that is larger.
         """
         if not self.n_with_interval:
             return self.mistimed_share
@@ -75,18 +79,19 @@ class Ages:
         return max(1 - in_time, self.mistimed_share)
 
     def next_overdue(self, now: float) -> float:
-        """When the next one will be; infinity if none will."""
+        """Returns the monotonic time at which the next reading becomes overdue; infinity if none does."""
         k = bisect_right(self._overdue_times, now)
         return self._overdue_times[k] if k < len(self._overdue_times) else math.inf
 
 
 class Readings:
-    """``measurements``: those that are worked with, virtual ones included; ``ages``: how old they are.
+    """Snapshot of the readings in use.
 
-    ``silent``: ids of the meters without a reading. ``invalid``: of those whose reading its source has marked as not
-    valid. ``too_old``: of those whose reading is left out for its age. ``why_rejected``: id -> why its newest one is.
-    ``mistimed``: ids of those that have no other reading than one of a time that cannot be. ``senders``: gateway -> ids
-    of the meters whose readings are its.
+    ``measurements``: in use, virtual ones included; ``ages``: of these readings. ``silent``: ids of the meters without
+    a reading. ``invalid``: ids of the meters whose reading is marked as invalid by its source. ``too_old``: ids of the
+    meters whose reading is left out for its age. ``why_rejected``: meter id -> reason for which its newest reading is
+    rejected. ``mistimed``: ids of the meters whose only reading has an impossible time. ``senders``: gateway -> ids of
+    the meters whose readings in use it has sent.
     """
 
     def __init__(self, content: Configuration, store: ReadingStore) -> None:
@@ -112,12 +117,14 @@ class Readings:
             if meter_id not in self._virtual and ((rule := store.rule_of(meter)).period_s is not None or by_clock)
         }
         self._mistimed_share = 0.0
-        self._net_load: NetLoad | None = None  # of these measurements, once asked for
+        self._net_load: NetLoad | None = None  # of these measurements, computed when first used
 
     def take(self, message: TelemetryMessage | None, now: float, wall: float) -> Iterator[str]:
-        """Take over a scan, and the newest of all other readings; for each reading that is rejected, the reason.
+        """Takes a snapshot: the readings of a scan, and the newest of all others.
 
-        ``message``: of the scan, None where clocks number scans. ``now``: monotonic time, ``wall``: s since 1970.
+        Yields the reason for each reading of the scan that is rejected.
+
+        ``message``: of the scan, None without one. ``now``: monotonic time, ``wall``: s since 1970.
         """
         self.invalid, self.too_old, self.senders = [], [], {}
         self.why_rejected = {k: reason for k, reason in self._store.why_rejected.items() if k not in self._store.off}
@@ -136,7 +143,7 @@ class Readings:
         self._net_load = None
 
     def _take_scan(self, message: TelemetryMessage, read: Read) -> Iterator[str]:
-        """Put the readings that belong to the scan of ``message`` into ``read``."""
+        """Puts the readings that belong to the scan of ``message`` into ``read``; yields the reasons of rejection."""
         gateway, store, n_mistimed = message.header.sender, self._store, 0
         columns = message.meters, message.values, message.sigmas, message.times, message.valid
         for meter_id, value, sigma, time, is_valid in zip(*columns, strict=True):
@@ -156,14 +163,17 @@ class Readings:
         self._mistimed_share = n_mistimed / (n_mistimed + len(read)) if n_mistimed else 0.0
 
     def _find_mistiming(self, meter: Meter, age_s: float) -> str:
-        """Why a reading that was ``age_s`` old when its scan was stated is none of that scan; empty if it is."""
+        """Returns the reason for which a reading does not belong to its scan; empty if it does.
+
+        ``age_s``: age of the reading when the message of the scan was made.
+        """
         lead_s = self._store.lead_s
         if age_s < -lead_s:
             return AHEAD
         return OUTLIVED if age_s > max(lead_s, self._store.rule_of(meter).leaves_out_s(self._expected_scan_s)) else ""
 
     def _take_newest(self, read: Read, wall: float) -> None:
-        """Put the newest readings that are young enough into ``read``, their standard deviations grown."""
+        """Puts the newest readings that are young enough into ``read``, with standard deviations grown with age."""
         store, scan_s = self._store, self._content.scan_s
         for meter_id, meter in self._meters.items() if store.newest else ():
             reading = store.newest.get(meter_id)
@@ -190,7 +200,7 @@ class Readings:
 
     @property
     def net_load(self) -> NetLoad:
-        """Of the area's own buses, generation as the area file says: by these readings or as scheduled."""
+        """Net load of the area's own buses; generation by these readings or as scheduled, as the area file chooses."""
         if self._net_load is None:
             telemetered = self._content.generation == "telemetered"
             measured = measured_net_loads(self._content.area, self.measurements) if telemetered else {}

@@ -1,14 +1,14 @@
 """Strategy ``information``, one area's protocol in rounds: the areas together take the centralised estimate's steps.
 
 The areas form a tree, and each knows which neighbour lies towards the hub. In round k an area waits for Up(k) of all
-other neighbours, adds its own, and sends Up(k) on; who has nobody towards the hub knows the totals and decides. Down(k)
-carries the totals and the information of everything else back; who receives it takes the step, passes Down(k) on and is
-in round k + 1. Every message says which (scan, revision, k) it belongs to, so that messages of different iterations
-never meet.
+other neighbours, adds its own information, and sends Up(k) on. The area with no neighbour towards the hub has the
+totals of all areas, and decides. Down(k) carries the totals and the information of all other areas back. An area that
+receives Down(k) takes the step, passes Down(k) on and is in round k + 1. Every message states its (scan, revision, k),
+so that messages of different iterations never meet.
 
-A *term* is (scan, revision). The links in use are fixed when an area enters a term; whatever must change them (a
-neighbour silent, back, or begun anew; readings that come late) raises the revision, and everybody begins again at
-round 0 with the state so far.
+A *term* is (scan, revision). The links in use are fixed when an area enters a term. A change of links (a neighbour is
+silent, back, or has restarted), new readings of the scan or a neighbour that is not believed raise the revision: all
+areas begin again at round 0 with the state so far.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         self._round = AreaRound(content.area, self._splits)
         self._revision = 0
         self._is_change_due = False
-        self._has_loads_to_send = False  # which only stand in for what is missing
+        self._has_loads_to_send = False  # loads only stand in for missing information
         self._raised_at = -math.inf  # when this area itself last raised the revision
         known = self._peers, self._round, self._scan, self._rejections, self._splits
         self._state = RoundsState(content, *known, self._published, self._end)
 
     def describe_backend(self) -> str:
-        """For the log: what computes, and how often something else had to."""
+        """Returns, for the log, the back end that computes, and how often another had to."""
         return self._round.estimation.describe_backend()
 
     @property
@@ -69,7 +69,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
     @property
     def outcome(self) -> Outcome | None:
-        """How the present term has ended; None while it has not."""
+        """End of the present term; None before."""
         return self._round.outcome
 
     @property
@@ -93,7 +93,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         elif not self._is_at_rest:
             yield from map(self._peers.absent_at, self._round.links)
 
-    # What comes in
+    # Incoming messages
 
     def _find_rejection(self, message: Message) -> str:
         if not isinstance(message, RoundsMessage):
@@ -113,7 +113,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         yield from self._change()
 
     def _act_on(self, update: TelemetryUpdate) -> Iterator[Action]:
-        """Use new readings, or readings that belong to another scan than was thought."""
+        """Uses new readings, or readings that belong to another scan than assumed before."""
         match update:
             case TelemetryUpdate.NEXT_SCAN:
                 yield from self._enter_next_scan()
@@ -133,7 +133,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         yield from self._send_if_lacking(name, peer.load, message.received[0])
         term = (message.header.scan, message.revision)
         if term[0] > self.scan:
-            peer.take_reply(peer.exchange)  # it has moved on, and lacks nothing
+            peer.take_reply(peer.exchange)  # the neighbour has moved on, and lacks no message
             if self._owes_final():
                 return
         if term > self.term:
@@ -147,7 +147,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
             yield from self._take_in_term(name, peer, message)
 
     def _must_change_for(self, name: str, message: RoundsMessage, is_restart: bool) -> bool:
-        """Whether a neighbour is back that is not in use, or begins anew."""
+        """True where a neighbour outside the links in use is back, or a neighbour has restarted."""
         return is_restart or (name not in self._round.links and message.receives)
 
     def _take_in_term(self, name: str, peer: Peer, message: RoundsMessage) -> Iterator[Action]:
@@ -160,13 +160,13 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
             yield from self._take_round(name, peer, message)
 
     def _take_round(self, name: str, peer: Peer, message: UpMessage | DownMessage) -> Iterator[Action]:
-        """A message of a round from a neighbour in use: what is not answered at once is acknowledged at once."""
+        """Takes in a message of a round from a neighbour in use, and answers or acknowledges it at once."""
         if message.k > self._round.k:
             return  # sent to a former incarnation of this area
         peer.is_owed_reply = True
         peer.take_number(message.header.sequence, self._now)
         if message.k < self._round.k:
-            if peer.has_waited_for_trip(self._now):  # it lacks our answer
+            if peer.has_waited_for_trip(self._now):  # the neighbour lacks the answer of this area
                 yield from self._send_if_lacking(name, peer.exchange, message.received[1], even_if_repeated=True)
         elif isinstance(message, UpMessage):
             if why := self._round.find_false_count(message):
@@ -181,7 +181,10 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
     # Terms
 
     def _owes_final(self) -> bool:
-        """Whether a neighbour may not yet have the final message of this scan: leaving would starve it."""
+        """True where a present neighbour may lack the final message of this scan.
+
+        It would never get this message from an area that has left the scan.
+        """
         if self._round.outcome is None:
             return False
         lower = self._round.lower
@@ -189,12 +192,12 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         return any(self._peers.is_present(name, self._now) for name in unacknowledged)
 
     def _enter_next_scan(self) -> Iterator[Action]:
-        """Leave this scan for a later one with readings, at its end: that comes, as silent neighbours are left out."""
+        """Leaves this scan, at its end, for a later one with readings. The end comes without silent neighbours."""
         if self._scan.next_scan and self._is_at_rest and not self._owes_final():
             yield from self._enter((self._scan.next_scan, 0))
 
     def _change(self) -> Iterator[Action]:
-        """The links in use must change: the next revision; no more than one of an area's own per heartbeat."""
+        """Enters the next revision; an area raises the revision itself at most once per heartbeat interval."""
         if self._now < self._raised_at + self._heartbeat_s:
             self._is_change_due = True
             return
@@ -202,7 +205,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         yield from self._enter((self.scan, self._revision + 1))
 
     def _enter(self, term: Term) -> Iterator[Action]:
-        """Show the end of the former term, forget it; begin ``term`` with all present neighbours that are believed."""
+        """Shows the end of the former term and drops it; begins ``term`` with all present neighbours not distrusted."""
         if self._round.outcome is not None:
             yield from self._publish_state(self._state.show_end(self.term, self._now))
             yield from self._show_readings()
@@ -224,9 +227,10 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         return not self._owes_final()
 
     def _all_hold_next(self) -> bool:
-        """Whether the end of this term was that of all areas, and all of them hold the file of the next split.
+        """True where this term has ended for all areas, and all of them hold the file of the next split.
 
-        Where the next split has fewer areas, those that are left out are stopped first; where it has more, they wait.
+        Where the next split has fewer areas, the areas left out are stopped first; where it has more, the new ones
+        wait.
         """
         outcome, following = self._round.outcome, self._next
         if outcome is None or following is None or outcome.verdict.next_split != self._splits.held.digest:
@@ -234,7 +238,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         return outcome.totals.areas >= min(self._area.n_areas, following.area.n_areas)
 
     def _begin(self) -> Iterator[Action]:
-        """Round 0 with the readings."""
+        """Begins round 0 with the readings."""
         self._has_loads_to_send = True
         loads = self._received_loads()
         self._round.begin(self._scan.readings.measurements, stale=self._scan.stale, loads=loads)
@@ -243,7 +247,10 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
     # Rounds
 
     def _go_on(self) -> Iterator[Action]:
-        """Send Up(k) as soon as all others have, or decide; alone, until the end."""
+        """Sends Up(k) as soon as all neighbours farther from the hub have, or decides where none lies towards it.
+
+        An area without links decides round by round until the end.
+        """
         while self._round.may_go_on and not self._is_change_due:
             totals = self._round.add_up()
             if name := self._round.towards_hub:
@@ -256,7 +263,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         self._round.prepare()
 
     def _take_down(self, name: str, message: DownMessage) -> Iterator[Action]:
-        """Follow the side of the hub, unless its message contradicts itself: then go on without it in this scan."""
+        """Follows Down(k), unless it contradicts itself or Up(k): then goes on without its sender in this scan."""
         if why := self._round.find_lie(message):
             yield from self._distrust(name, why)
             return
@@ -264,12 +271,12 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         yield from self._go_on()
 
     def _distrust(self, name: str, why: str) -> Iterator[Action]:
-        """Go on without a neighbour in this scan: what it says contradicts itself, or what was sent to it."""
+        """Goes on without a neighbour in this scan: its messages are false by themselves or by those sent to it."""
         self._peers.distrusted[name] = why
         yield from self._change()
 
     def _descend(self, totals: Totals, decider: Decider, down: DownMessage | None) -> Iterator[Action]:
-        """Decide on the totals of all, or follow who has, and pass that on."""
+        """Decides on the totals of all areas, for itself or after ``decider``; passes totals and verdict on."""
         verdict, k = self._round.decide(totals), self._round.k
         for name, content in self._round.descend(verdict, totals, decider, down):
             fields = self._fields_of(name, content, k)
@@ -278,10 +285,10 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         if self._round.outcome is not None:
             yield from self._enter_next_scan()
 
-    # What goes out
+    # Outgoing messages
 
     def _fields_of(self, name: str, content: Content, k: int) -> dict[str, Any]:
-        """Of a message of round ``k``; what holds of the link is filled in as it is sent."""
+        """Returns the fields of a message of round ``k``; the state of the link is filled in as it is sent."""
         peer, information, no_load = self._peers[name], content.information, content.no_load
         return {
             "header": self._header(peer.exchange.sequence + 1),
@@ -311,7 +318,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
     def _is_side_complete(self, name: str) -> bool:
         return self._state.is_side_complete(name, self.term, self._now)
 
-    # What time brings
+    # Time
 
     def _act(self, *, is_heartbeat: bool) -> Iterator[Action]:
         if self._now >= self._scan.deadline:
@@ -323,9 +330,9 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         yield from self._enter_next_scan()
 
     def _show(self, *, is_heartbeat: bool) -> Iterator[Publish]:
-        """The state once a scan at rest, anew at every heartbeat, and when its quality changes.
+        """Yields the state once a scan at rest, again at every heartbeat, and when its quality changes.
 
-        Load messages come last, as nobody waits for them, and after the first ones with the heartbeat.
+        Load messages come last, as no neighbour waits for them. After the first ones they come with the heartbeat.
         """
         yield from self._publish_state(self._state.show(self.term, self._now, is_heartbeat=is_heartbeat))
         is_first = any(peer.load.message is None for _, peer in self._peers.items())

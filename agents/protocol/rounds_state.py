@@ -1,4 +1,4 @@
-"""What an area publishes under rounds: its state once a scan at rest, its quality, and what is missing."""
+"""State that an area publishes under rounds, once a scan at rest: its estimate, its quality, and its gaps."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ from dsse_core.exchange.area_estimation import FAILURES
 from dsse_core.grid.boundary import Kind
 from dsse_core.split_identity import SplitUse
 
-CONTRADICTION = 0.9999  # confidence of the chi-square test of what is shown; bad data are looked for at a lower one
-MISMATCH = 1e-6  # p.u. and rad, of the final voltages that two sides of a boundary have; rounding leaves 1e-8
+CONTRADICTION = 0.9999  # confidence of the chi-square test of the shown state; bad data are looked for at a lower one
+MISMATCH = 1e-6  # p.u. and rad, between the final voltages of the two sides of a boundary; rounding leaves 1e-8
 
 
 class RoundsState:
-    """The state as last published, and what it rests on."""
+    """The state as last published, with its estimate, outcome and readings."""
 
     def __init__(
         self,
@@ -82,9 +82,9 @@ class RoundsState:
         buses = [bus.id for bus in content.area.network.buses]
         self._limits = EstimateLimits(content.limits, buses, content.meters)
         self._estimate: Estimate | None = None
-        self._outcome: Outcome | None = None  # which the estimate is of
+        self._outcome: Outcome | None = None  # of the estimate
         self._of_scan = 0
-        self._ages = Ages()  # of the readings that it rests on
+        self._ages = Ages()  # of the readings of the estimate
         self._most_overdue = content.limits.most_overdue
         self._leader = content.readings.leader
         self._gateways = GatewayWatch(content.area)
@@ -94,7 +94,7 @@ class RoundsState:
         ] = {}  # as _find_mismatch found them
 
     def show(self, term: Term, now: float, *, is_heartbeat: bool) -> StateMessage | None:
-        """The state to be published at time ``now``, if any is; passing notes alone wait for the heartbeat."""
+        """Returns the state to be published at time ``now``, or None; passing notes alone wait for the heartbeat."""
         outcome = self._round.outcome
         is_new = outcome is not None and outcome is not self._outcome
         if outcome is not None and is_new:
@@ -102,7 +102,7 @@ class RoundsState:
             self._estimate, self._findings = self._read(outcome)
             if not self._scan.stale:
                 has_end = self._estimate is not None and not outcome.verdict.reason
-                known = self._round.estimation.before_removal if has_end else None  # what led nowhere is no evidence
+                known = self._round.estimation.before_removal if has_end else None  # no success, no evidence
                 self._gateways.weigh(term[0], self._scan.readings, known)
         elif not is_heartbeat and self._is_first_way_through(term):
             return None
@@ -115,20 +115,21 @@ class RoundsState:
         return self._published.compose(self._estimate_now(term), assessment, old_sides, scan, now, self._ages)
 
     def show_end(self, term: Term, now: float) -> StateMessage | None:
-        """The state at an end of ``term`` that has not been shown yet, as the next term begins at once."""
+        """Returns the state at an end of ``term`` that has not been shown yet: the next term begins at once."""
         is_new = self._round.outcome is not None and self._round.outcome is not self._outcome
         return self.show(term, now, is_heartbeat=False) if is_new else None
 
     def _is_first_way_through(self, term: Term) -> bool:
-        """Whether a scan is under way, and nothing has happened to it: its estimate is shown, or at the heartbeat
-        that it is not there; what was noted of the last scan still holds of that.
+        """True where a scan is under way in its first revision, or no state has been published yet.
+
+        Until its estimate is there, only heartbeats publish a state: the notes of the last scan still hold of that.
         """
         if self._round.outcome is not None:
             return False
         return 0 < term[0] != self._of_scan and (not term[1] or self._published.message is None)
 
     def _read(self, outcome: Outcome) -> tuple[Estimate | None, tuple[Finding, ...]]:
-        """What the term has ended with, and what that leaves to be noted until the next one."""
+        """Returns the estimate at the end of a term, and the findings that hold until the next end."""
         estimation, estimate = self._round.estimation, None
         if not estimation.failure and outcome.verdict.reason != NOT_OBSERVABLE:
             try:
@@ -143,7 +144,7 @@ class RoundsState:
         return estimate, tuple(findings)
 
     def describe_readings(self) -> Mapping[str, tuple[float, float]]:
-        """Of the estimate that is shown; see ``AreaEstimation``."""
+        """See ``AreaEstimation.describe_readings``; of the estimate that is shown, empty without one."""
         return self._round.estimation.describe_readings() if self._estimate is not None else {}
 
     def _read_estimate(self, outcome: Outcome) -> Estimate:
@@ -168,12 +169,12 @@ class RoundsState:
         return estimate
 
     def _counts_all(self, outcome: Outcome) -> bool:
-        """Whether the verdict rests on every area of the grid."""
+        """True where the iteration has succeeded, and its verdict rests on every area of the grid."""
         totals = outcome.totals
         return totals.areas == self._area.n_areas and not totals.silent and not outcome.verdict.reason
 
     def _findings_of(self, outcome: Outcome) -> Iterator[Finding]:
-        """What the end of a term says of the estimate that it leaves, and of the readings."""
+        """Yields findings on the estimate and the readings from the end of a term."""
         totals = outcome.totals
         yield from self._findings_of_end(outcome)
         if not totals.referenced:
@@ -200,7 +201,7 @@ class RoundsState:
             yield Finding(DEGRADED, f"not received by a neighbour: {', '.join(silent)}", "not received", silent)
 
     def _findings_of_end(self, outcome: Outcome) -> Iterator[Finding]:
-        """How the iteration has ended, where that leaves something to be noted."""
+        """Yields a finding where the iteration has ended without success, or with contradictory readings."""
         totals, reason = outcome.totals, outcome.verdict.reason
         if reason == NOT_OBSERVABLE:
             dead = self._round.estimation.dead_voltmeters
@@ -234,7 +235,7 @@ class RoundsState:
             )
 
     def _passing_findings(self, term: Term, now: float) -> Iterator[Finding]:
-        """What holds now, and may not at the next moment."""
+        """Yields the findings that hold now, and may not hold at the next moment."""
         if self._outcome is None:
             is_waiting = not self._scan.has_been_read and not term[0]
             yield Finding(NONE, "no telemetry yet" if is_waiting else "the first estimate is under way")
@@ -260,7 +261,7 @@ class RoundsState:
         yield from find_meters_off(self._published.ordered.meters_off)
 
     def _aging(self, term: Term, now: float) -> Iterator[Finding]:
-        """What has grown old since the outcome, or is being replaced."""
+        """Yields findings on data that have grown old since the outcome, or are being replaced."""
         if self._scan.is_late(now):
             yield Finding(STALE, "telemetry is not received")
         yield from find_overdue_readings(self._ages, self._most_overdue, now)
@@ -285,10 +286,11 @@ class RoundsState:
                 yield Finding(DEGRADED, f"{name} is not received, or does not receive this area")
 
     def _mismatches(self, term: Term) -> Iterator[tuple[str, str]]:
-        """Neighbours whose final voltage at the boundary is another than ours: somebody on that side says false things.
-        Each with that in words.
+        """Yields each neighbour whose final voltage at the boundary differs from that of this area, with the difference
+        in words.
 
-        Rounding leaves less, and without a lie both sides take the same steps.
+        Rounding leaves less, and without false messages both sides take the same steps. So an area on one of the two
+        sides has sent false messages.
         """
         outcome, estimation = self._round.outcome, self._round.estimation
         if outcome is None or outcome.verdict.reason or estimation.failure:
@@ -306,7 +308,7 @@ class RoundsState:
                 )
 
     def _find_mismatch(self, name: str, outcome: Outcome, theirs: tuple[float, ...]) -> tuple[float, float]:
-        """By how much (vm, va) at a boundary differ, p.u. and rad; asked for at every event, found once."""
+        """Returns the largest differences of (vm, va) at a boundary, p.u. and rad; called often, computed once."""
         kept = self._kept_mismatches.get(name)
         if kept is None or kept[0] is not outcome or kept[1] != theirs:
             own, places = self._round.estimation.boundary_values(name), self._area.boundaries[name].places
@@ -317,7 +319,7 @@ class RoundsState:
         return kept[2]
 
     def is_side_complete(self, name: str, term: Term, now: float) -> bool:
-        """Whether all on this side of neighbour ``name`` is received, fresh, at the end of this term and agrees."""
+        """True where all on this side of neighbour ``name`` is received, fresh, at the end of this term and agrees."""
         outcome = self._round.outcome
         if outcome is None or self._scan.is_late(now, PASSED_ON_HEARTBEATS) or self._scan.are_outdated:
             return False
@@ -333,21 +335,21 @@ class RoundsState:
 
     @property
     def _uses(self) -> tuple[SplitUse, ...]:
-        """The splits that the outcome rests on."""
+        """The splits of the areas of the outcome."""
         return self._outcome.totals.splits if self._outcome is not None else ()
 
     def _old_sides(self, term: Term, now: float) -> tuple[str, ...]:
-        """Neighbours that say that their side is not complete."""
+        """Returns the neighbours whose newest message does not state a complete side."""
         old = self._peers.find_old(term, self._round.links, now)
         return tuple(sorted(name for name in old if not self._peers[name].complete))
 
     def _estimate_now(self, term: Term) -> Estimate | None:
-        """The estimate, which has not been checked as long as a neighbour contradicts it."""
+        """Returns the estimate, which counts as unchecked as long as a neighbour contradicts it."""
         if self._estimate is None or not any(self._mismatches(term)):
             return self._estimate
         return replace(self._estimate, checked=False)
 
 
 def _exceeds_limit(totals: Totals) -> bool:
-    """Whether J at the end is more than noise alone leaves in all but one of ten thousand scans."""
+    """True where J at the end exceeds the limit that noise alone exceeds in one of ten thousand scans."""
     return totals.objective >= chi_square_limit(totals.degrees_of_freedom, CONTRADICTION)

@@ -1,7 +1,7 @@
-"""What holds at the end of a scan, for the log: an area leaves a term with it, or has been in the term for long.
+"""Findings at the end of a scan, for the log: an area leaves a term with them, or has been in the term for long.
 
-What passes in between is the exchange at work: a neighbour that is not yet at the end, a newer estimate under way. None
-of it is logged, however often it is shown.
+Findings that pass in between show the exchange at work: a neighbour is not yet at the end, a newer estimate is under
+way. They are not logged, however often they are shown.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from agents.strategies.interface import Estimate
 
 @dataclass(frozen=True, slots=True)
 class _Standing:
-    """Where an area is in ``term``, as far as watchers see it; ``is_end``: nothing more is to come in it."""
+    """Estimate and findings of an area in ``term``, as watchers see them; ``is_end``: no more are to come in it."""
 
     term: Term
     is_end: bool
@@ -26,10 +26,10 @@ class _Standing:
 
 
 class ScanEnd:
-    """Takes what an area finds again and again, and keeps what is to be logged.
+    """Takes each set of findings of an area, and keeps those to be logged.
 
     Args:
-        patience_s: after which what holds in a term is permanent, whether the term ends or not.
+        patience_s: time in a term after which findings count as permanent, whether the term ends or not.
     """
 
     def __init__(self, patience_s: float) -> None:
@@ -48,7 +48,7 @@ class ScanEnd:
         is_end: bool,
         is_heartbeat: bool,
     ) -> None:
-        """What is found in ``term`` now; of one term the last counts, and after a while what holds at a heartbeat."""
+        """Notes the findings in ``term`` now. The last ones of a term count; after a while those at heartbeats, too."""
         self._leave(term)
         if self._last is None:
             self._since = now
@@ -57,7 +57,7 @@ class ScanEnd:
             self._ended.append(_conclude(self._last))
 
     def take(self, term: Term, *, is_over: bool = False) -> Iterator[Conclude]:
-        """What is to be logged; the area is in ``term`` now. ``is_over``: it ends."""
+        """Yields what is to be logged; ``term``: of the area now. ``is_over``: the protocol ends."""
         self._leave((-1, -1) if is_over else term)
         ended, self._ended = self._ended, []
         yield from ended
@@ -71,7 +71,7 @@ class ScanEnd:
 
 
 def _conclude(standing: _Standing) -> Conclude:
-    """The line for the log, and the facts in it, without figures, which change from scan to scan."""
+    """Returns the line for the log, with its facts without figures, as figures change from scan to scan."""
     estimate, assessment = standing.estimate, assess(standing.findings)
     what = "no estimate" if estimate is None else "estimates" if estimate.referenced else "estimates, angles relative"
     removed = estimate.removed if estimate else ()

@@ -1,8 +1,8 @@
 """The readings that an area has of its current scan and of later ones, and whether they are late.
 
-The scan of terms is the number that the plant gives it plus an *offset*, of which each incarnation of the plant has
-one: 0, or what is needed so that no term goes back where a plant numbers lower than the one before, its clock having
-been set back. Areas may find different offsets needed. They send each other theirs, and the largest counts for all.
+The scan of a term is the number that the plant gives it plus an *offset*. Each incarnation of the plant has an offset:
+0, or the increment that keeps scan numbers growing when a restarted plant counts lower, as its clock has been set back.
+Areas may find different offsets necessary. They send each other their offsets, and the largest counts for all.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LARGEST_SCAN = 3 * MOST_COUNTED // 4  # that the numbering of a neighbour may le
 
 
 class TelemetryUpdate(Enum):
-    """What new telemetry is: of no use, of the scan that waits for it, of a scan under way, of a later one."""
+    """Use of new telemetry: none, for the scan that waits for it, for a scan under way, for a later one."""
 
     NONE = auto()
     AWAITED = auto()
@@ -35,7 +35,9 @@ class TelemetryUpdate(Enum):
 
 
 class ScanReadings:
-    """``scan``: the current one, 0 before any. ``are_there``: its readings are, or it goes on without them, which is
+    """Readings of the current scan and of later ones, where telemetry numbers scans.
+
+    ``scan``: the current one, 0 before any. ``are_there``: its readings are, or it goes on without them, and then is
     ``stale``. ``store``: the readings that belong to no scan. ``clock_offset``: from monotonic to wall-clock time, s.
     """
 
@@ -53,9 +55,9 @@ class ScanReadings:
         self._may_be_ahead_s = self.store.lead_s if content.scan_s else float("inf")  # as clocks of neighbours
         self._last: TelemetryMessage | None = None
         self._received_at = now
-        self._clock_behind_s = 0.0  # by how much that of the leader is behind, as its newest message says
+        self._clock_behind_s = 0.0  # lag of the leader's clock, by its newest message
         self._later: dict[int, TelemetryMessage] = {}
-        self._used: TelemetryMessage | None = None  # the newest that has been read
+        self._used: TelemetryMessage | None = None  # the message whose readings were last used
         self._takes_anew = False  # as the operator has asked
         self._leader = content.readings.leader
         self._aging = {meter.id for meter in content.meters if content.readings.rule_of(meter.kind).period_s}
@@ -68,16 +70,16 @@ class ScanReadings:
         return self._rejected + self.store.rejected
 
     def note_time(self, now: float) -> None:
-        """It is ``now``, monotonic time."""
+        """Notes the monotonic time ``now``, where scans depend on it."""
 
     @property
     def next_tick_at(self) -> float:
-        """When the next scan begins by itself, monotonic time: never, as telemetry numbers scans."""
+        """Monotonic time at which the next scan begins by itself: infinity, as telemetry numbers scans."""
         return float("inf")
 
     @property
     def lead_s(self) -> float:
-        """By how much the scan is ahead of the area's clock, s, where that numbers scans."""
+        """Lead of the scan over the area's clock, s; 0 where this clock does not number scans."""
         return 0.0
 
     @property
@@ -87,35 +89,36 @@ class ScanReadings:
 
     @property
     def are_outdated(self) -> bool:
-        """Whether other readings of this scan wait for the next term."""
+        """True where other readings of this scan wait for the next term."""
         return self.scan in self._later or self._takes_anew
 
     def age(self, now: float) -> float:
-        """s since telemetry was last received; 0 before the first."""
+        """Returns the time since telemetry was last received, s; 0 before the first."""
         return now - self._received_at if self._last else 0.0
 
     def is_late(self, now: float, heartbeats: float = FRESH_HEARTBEATS) -> bool:
-        """Whether telemetry has sent nothing for ``heartbeats``."""
+        """True where no telemetry has been received for ``heartbeats`` intervals."""
         return now >= self._received_at + heartbeats * self._heartbeat_s
 
     def fresh_until(self, heartbeats: float) -> float:
-        """When it will not have been, if none comes."""
+        """Returns the time from which ``is_late`` holds if no telemetry comes before."""
         return self._received_at + heartbeats * self._heartbeat_s
 
     def may_enter(self, scan: int, now: float) -> bool:
-        """Whether a neighbour can be at ``scan``: numbers come from telemetry, and terms never go back.
+        """True where a neighbour can be at ``scan``: numbers come from telemetry, and terms never go back.
 
-        An area that receives no telemetry, not yet or no more, cannot know better.
+        An area that receives no telemetry, not yet or no more, accepts any scan up to a fixed limit.
         """
         if self._last is None or self.is_late(now, PATIENCE_HEARTBEATS):
-            return scan <= MOST_COUNTED // 2  # what follows a lie of this size still counts
+            return scan <= MOST_COUNTED // 2  # the scans after a lie of this size are still accepted
         return scan <= self._last.header.scan + self._offset + MOST_AHEAD
 
     @property
     def deadline(self) -> float:
-        """When the scan goes on without its readings; infinity if they are there.
+        """Time at which the scan goes on without its readings; infinity if they are there.
 
-        At once where those of a later scan are: the plant says one after the other, so they have been replaced unread.
+        With readings of a later scan it is the start of the scan: the plant sends scans in order, so those of this scan
+        have been replaced unread.
         """
         if self.are_there or not self.scan:
             return float("inf")
@@ -123,11 +126,11 @@ class ScanReadings:
 
     @property
     def has_been_read(self) -> bool:
-        """Whether there has ever been telemetry."""
+        """True where telemetry has ever been received."""
         return self._last is not None
 
     def _is_newer(self, message: TelemetryMessage, now: float) -> bool:
-        """Note that telemetry is received; whether it is newer than what there is."""
+        """Notes that telemetry is received; returns whether it is newer than the last."""
         last = self._last
         patience_s = PATIENCE_HEARTBEATS * self._heartbeat_s
         if last is not None and is_old(message.header, last.header, now - self._received_at, patience_s):
@@ -142,12 +145,15 @@ class ScanReadings:
 
     @property
     def leader_ahead_s(self) -> float:
-        """By how much the clock of the leader, which numbers scans, is ahead, s; 0 where its readings may be of now."""
+        """Lead of the clock of the leader, which numbers scans, s; 0 where its readings may be of the present."""
         behind_s = self._clock_behind_s
         return 0.0 if -self._may_be_ahead_s <= behind_s <= self._may_be_behind_s else -behind_s
 
     def take_at_once(self, message: TelemetryMessage, now: float) -> bool:
-        """Asynchronous: work with telemetry at once if it is newer, whatever its scan; whether it is."""
+        """Uses telemetry at once if it is newer, whatever its scan; returns whether it has used any.
+
+        For asynchronous strategies.
+        """
         is_changed = self.store.take(message, now + self.clock_offset)
         if message.header.sender != self._leader:
             return is_changed and self._read_again(now)
@@ -160,13 +166,13 @@ class ScanReadings:
         return True
 
     def _read_again(self, now: float) -> bool:
-        """Take the newest of all readings beside those of the scan that is worked with; whether there is one."""
+        """Takes the newest other readings beside those of the scan in use; returns whether there is such a scan."""
         if self._used is not None:
             self._read(self._used, now)
         return self._used is not None
 
     def take(self, message: TelemetryMessage, now: float) -> TelemetryUpdate:
-        """Keep telemetry if it is newer than what there is."""
+        """Keeps telemetry that is newer than the last; returns its use."""
         self.store.take(message, now + self.clock_offset)
         if message.header.sender != self._leader:
             return TelemetryUpdate.NONE
@@ -177,9 +183,11 @@ class ScanReadings:
         return self._file(message, now)
 
     def _renumber(self, message: TelemetryMessage) -> None:
-        """Find the offset of an incarnation of the plant that is received for the first time or again, or whose numbers
-        have gone back with its clock; and of one so far behind the current scan that this has come from a neighbour who
-        was wrong: terms never go back.
+        """Finds the offset of the plant, so that terms never go back.
+
+        A new offset is found for an incarnation that is received for the first time or again, and where the numbers of
+        the plant have gone back with its clock. The same holds where they are so far behind the current scan that a
+        neighbour must have stated this scan wrongly.
         """
         last, incarnation, number = self._last, message.header.incarnation, message.header.scan
         if last is None or incarnation != last.header.incarnation or number < last.header.scan:
@@ -199,18 +207,18 @@ class ScanReadings:
         return (self._last.header.incarnation, self._offset) if self._last else (NO_INCARNATION, 0)
 
     def take_numbering(self, name: str, incarnation: Incarnation, offset: int, now: float) -> TelemetryUpdate:
-        """Follow neighbour ``name`` where it needs a larger ``offset`` for an ``incarnation`` of the plant."""
+        """Follows neighbour ``name`` where it needs a larger ``offset`` for an ``incarnation`` of the plant."""
         if offset + (self._last.header.scan if self._last else 0) > LARGEST_SCAN:
-            return TelemetryUpdate.NONE  # a lie, after which nobody would take a message of this area
+            return TelemetryUpdate.NONE  # a lie, after which no neighbour would take a message of this area
         self._of_neighbours[name] = incarnation, offset
         if self._last is None or incarnation != self._last.header.incarnation or offset <= self._offset:
             return TelemetryUpdate.NONE
         self._offset = offset
-        self._later.clear()  # all else is older
+        self._later.clear()  # all other messages are older
         return self._file(self._last, now)
 
     def _file(self, message: TelemetryMessage, now: float) -> TelemetryUpdate:
-        """Keep the newest readings for their scan."""
+        """Keeps the newest readings for their scan; returns their use."""
         scan = message.header.scan + self._offset
         if scan > self.scan:
             self._later[scan] = message
@@ -222,24 +230,25 @@ class ScanReadings:
             return TelemetryUpdate.AWAITED
         known = self._later.get(scan, self._used)
         if self.stale or known is None or self._select_scan(message) != self._select_scan(known):
-            self._later[scan] = message  # what is under way goes on with what there is until the next term
+            self._later[scan] = message  # the term under way keeps its readings until the next term
             return TelemetryUpdate.LATE
         return TelemetryUpdate.NONE
 
     def enter(self, scan: int, now: float) -> None:
-        """Begin a term of ``scan``, with the readings that there are."""
+        """Begins a term of ``scan``, with the readings that have been received."""
         if scan != self.scan:
             self.scan, self.entered_at, self.are_there, self.stale = scan, now, False, False
         if scan in self._later:
             self._read(self._later.pop(scan), now)
         elif self._takes_anew and self.are_there:
-            list(self.readings.take(self._used, now, now + self.clock_offset))  # what is rejected has been counted
+            list(self.readings.take(self._used, now, now + self.clock_offset))  # rejections are counted already
         self._takes_anew = False
         self._later = {later: message for later, message in self._later.items() if later > scan}
 
     def follow(self, ordered: Ordered) -> bool:
-        """Leave out the meters that the operator has switched off; whether the readings are to be taken anew for it,
-        which the next term does.
+        """Leaves out the meters that the operator has switched off.
+
+        Returns whether the readings must be taken again for this command; the next term does so.
         """
         off = frozenset(ordered.meters_off)
         is_change, self.store.off = off != self.store.off, off
@@ -248,7 +257,7 @@ class ScanReadings:
         return is_due
 
     def go_on_without(self, now: float) -> None:
-        """The newest readings stand in for those of the scan."""
+        """Lets the newest readings stand in for those of the scan."""
         if self.next_scan:
             self._read(self._later[self.next_scan], now)
         elif self.store.newest:
@@ -261,6 +270,6 @@ class ScanReadings:
         self.are_there, self.stale = True, False
 
     def _select_scan(self, message: TelemetryMessage) -> list[tuple[object, ...]]:
-        """The readings that belong to the scan of ``message``."""
+        """Returns the readings that belong to the scan of ``message``."""
         columns = message.meters, message.values, message.sigmas, message.valid
         return [reading for reading in zip(*columns, strict=True) if reading[0] not in self._aging]

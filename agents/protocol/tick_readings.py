@@ -1,7 +1,7 @@
 """The readings of scans that clocks number: a scan is a tick, a multiple of the time between two of them in UTC.
 
 An area enters a tick at its time by its own clock, or as soon as it learns of it from a neighbour, and takes the newest
-readings that it has then. No reading is waited for: readings are as old as they are.
+readings that it has then. After the first readings of all meters the area waits for no reading: ages are accounted for.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ ROUNDING_S = 2e-6  # of a time of day as a floating-point number, doubled: a tic
 
 
 class TickReadings(ScanReadings):
-    """See ``ScanReadings``; telemetry numbers nothing here."""
+    """Readings of scans that are ticks; see ``ScanReadings``. Telemetry numbers no scans here."""
 
     def __init__(self, content: Configuration, now: float, clock_offset: float = 0.0) -> None:
         super().__init__(content, now, clock_offset)
@@ -46,7 +46,7 @@ class TickReadings(ScanReadings):
 
     @property
     def lead_s(self) -> float:
-        """By how much the scan is ahead of the area's clock, s: that of a neighbour is, or it has been set back."""
+        """Lead of the scan over the area's clock, s: a neighbour's clock is ahead, or this one has been set back."""
         return max(0.0, self.scan * self._scan_s - (self._now + self.clock_offset))
 
     @property
@@ -54,11 +54,11 @@ class TickReadings(ScanReadings):
         return self._waits_for_term or self._takes_anew
 
     def age(self, now: float) -> float:
-        """s since the newest reading was measured; 0 before the first."""
+        """Returns the time since the newest reading was measured, s; 0 before the first."""
         return max(0.0, now + self.clock_offset - self.store.newest_time) if self.store.newest else 0.0
 
     def is_late(self, now: float, heartbeats: float = 0.0) -> bool:
-        """Never: each reading says how old it is."""
+        """Returns False: each reading states its own time."""
         return False
 
     def fresh_until(self, heartbeats: float) -> float:
@@ -69,7 +69,7 @@ class TickReadings(ScanReadings):
 
     @property
     def deadline(self) -> float:
-        """When the first readings, of all meters, are waited for no longer."""
+        """Time at which the wait for the first readings of all meters ends; infinity if readings are in use."""
         return float("inf") if self.are_there or not self.scan else self.entered_at + self._first_wait_s
 
     @property
@@ -84,7 +84,7 @@ class TickReadings(ScanReadings):
         return TelemetryUpdate.NONE
 
     def take_at_once(self, message: TelemetryMessage, now: float) -> bool:
-        """Asynchronous: the first readings are taken as they come, all others at a tick."""
+        """Takes the first readings as they come, all others at a tick; for asynchronous strategies."""
         self._is_received = True
         is_changed = self.store.take(message, now + self.clock_offset)
         if is_changed and self.scan and not self.readings.ages.times:
@@ -93,7 +93,7 @@ class TickReadings(ScanReadings):
         return False
 
     def take(self, message: TelemetryMessage, now: float) -> TelemetryUpdate:
-        """Keep what is newer; it waits for the next tick, unless this one has nothing."""
+        """Keeps newer readings, which wait for the next tick, unless this one has none; returns their use."""
         self._is_received = True
         is_changed = self.store.take(message, now + self.clock_offset)
         if not self.scan:
@@ -109,7 +109,7 @@ class TickReadings(ScanReadings):
         return TelemetryUpdate.LATE
 
     def enter(self, scan: int, now: float) -> None:
-        """Begin a term of ``scan``; a later one of the same scan goes on with what was taken, if there was anything."""
+        """Begins a term of ``scan``; a later term of the same scan keeps its readings unless new ones wait for it."""
         if scan != self.scan:
             self.scan, self.entered_at, self.are_there, self.stale = scan, now, False, False
             if self.store.newest:
@@ -119,7 +119,7 @@ class TickReadings(ScanReadings):
         self._takes_anew = False
 
     def go_on_without(self, now: float) -> None:
-        """With what there is."""
+        """Goes on with the readings that have been received."""
         self._read_newest(now)
 
     def _read_newest(self, now: float) -> None:
