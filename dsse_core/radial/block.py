@@ -1,4 +1,4 @@
-"""What the compiled passes over a tree share: the 4 x 4 block of a bus, small formulas."""
+"""Common parts of the compiled passes over a tree: the 4 x 4 block of a bus, small formulas."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dsse_core.radial.lanes import LANES, as_floats, lanes
 
 LEAST_SCALE = 1e-8  # of the rows of lam, in units of 1 / variance: round-off in place of information sets no scale
 NO_INFORMATION = 1e-20  # with all sigmas 1: a pivot that only round-off can have made
-NOTHING_KNOWN = 1e-10  # with all sigmas 1: what is known below of a voltage is of the order of 1, or round-off
+NOTHING_KNOWN = 1e-10  # with all sigmas 1: information from below about a voltage is of the order of 1, or round-off
 N_INVERSE = 11  # columns of a block with right-hand sides: D (4), U (4), r (1), and two of the unit matrix
 
 
@@ -23,7 +23,7 @@ def wrap(angle):
 
 @compiled
 def modulus(s):
-    """|s| of voltages and powers in p.u., which are far from where squares overflow."""
+    """|s| of voltages and powers in p.u., whose squares do not overflow."""
     return math.sqrt(s.real * s.real + s.imag * s.imag)
 
 
@@ -35,14 +35,14 @@ def scaled(c, a):
 
 @compiled
 def cut_round_off(known):
-    """What is known of a voltage with all sigmas 1, without round-off."""
+    """Information ``known`` about a voltage with all sigmas 1; 0 where it is only round-off."""
     return known if abs(known) > NOTHING_KNOWN else 0.0
 
 
 @compiled
 def solve_block(A, width, check):
-    """A[:, 4:width] = A[:, :4]^-1 A[:, 4:width] with row pivoting; with ``check`` the least pivot ratio, else 1."""
-    for k in range(2):  # rows of lam in the units of those of f: only then a comparison means something
+    """A[:, 4:width] = A[:, :4]^-1 A[:, 4:width] with row pivoting; the least pivot ratio if ``check``, else 1."""
+    for k in range(2):  # rows of lam in the units of those of f, so that their entries can be compared
         variance = abs(A[k, k])
         scale = max(abs(A[2 + k, 2 + k]), LEAST_SCALE / variance if variance > 0.0 else 0.0)
         if scale == 0.0:
@@ -81,7 +81,7 @@ def solve_block(A, width, check):
 
 
 def solve_blocks(A, width, check):
-    """``solve_block`` for A (4, N_INVERSE) of floats or of lanes, which have pivots of their own."""
+    """``solve_block`` for A (4, N_INVERSE) of floats or of lanes; every lane has pivots of its own."""
     return solve_block(A, width, check)
 
 

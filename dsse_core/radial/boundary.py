@@ -1,7 +1,7 @@
 """Boundary messages on the tree of one area's buses, compiled: a neighbour's is the message of one more branch.
 
-What a neighbour sends about ``y = (p, q, vm_b, va_b)``, rows ``[P X; 0 N]``, is information about the voltage of bus b
-and a power that leaves it, as a bus passes to its parent in ``radial_kernel``: covariance ``V = (P'P)^-1``, slope ``A =
+The message of a neighbour about ``y = (p, q, vm_b, va_b)``, rows ``[P X; 0 N]``, is information about the voltage of
+bus b and a power that leaves it, as a bus passes to its parent in ``kernel``: covariance ``V = (P'P)^-1``, slope ``A =
 P^-1 X``, information ``N'N``. A child's power is a variable of the area; the power in the message of the parent is the
 sum of the powers into the area's own branches, which an exact balance at b says. What this area sends is what is left
 at the root of a tree with b on top.
@@ -19,9 +19,9 @@ from dsse_core.radial.iteration import branch_powers
 from dsse_core.radial.kernel import UPWARD, eliminate, substitute
 from dsse_core.radial.root import N_KNOWN, solve_root
 
-SILENT, RECEIVED, ADDRESSEE = 0, 1, 2  # what a neighbour is in a pass
-N_MESSAGE = 9  # of a neighbour's message: V (3), A (4), mean (2)
-LARGEST_LOSS = 1e-4  # of a variance that is a difference, relative to what it is taken of: 1e-9 of it is kept
+SILENT, RECEIVED, ADDRESSEE = 0, 1, 2  # role of a neighbour in a pass
+N_MESSAGE = 9  # numbers of a neighbour's message: V (3), A (4), mean (2)
+LARGEST_LOSS = 1e-4  # least variance that is a difference, relative to the minuend: it is then accurate to 1e-9
 
 
 @compiled
@@ -29,10 +29,11 @@ def pass_upward(
     order, parent, Y, z, w, at, column, role, R, message_z, x, damping, least_of_flow, least_spread,
     v, va, message_of, place, above, factor, more, block, step,
 ):  # fmt: skip
-    """Leaves to root with all messages; whether digits enough are left. What is known of the root is in ``above[0]``.
+    """Pass from leaves to root with all messages; False where too few digits are left. Fills ``above[0]``, of the root.
 
     ``at`` (k,): bus of each neighbour; ``column`` (k,): where x has the power into it, -1 for the parent. ``damping``:
-    information about the change of voltages and powers. ``w`` is changed where the parent speaks.
+    information about the change of voltages and powers. Sets ``w`` of injections to 0 at the parent's bus where the
+    parent's message is received.
     """
     n = len(order)
     for i in range(n):
@@ -84,7 +85,7 @@ def _powers_from(bus, parent, Y, v):
 
 @compiled
 def _add_message(M, T, R, z, p, q, vm, va, sign, d):
-    """Add a neighbour's message to ``M``, what else is known of a bus, and keep in ``T`` how its power follows.
+    """Adds a neighbour's message to ``M``, the other information about a bus; fills ``T``, which gives its power.
 
     With ``G = P'P + d`` and ``K = (P P' + d)^-1``: ``V = G^-1``, ``V P' = P' K`` and ``1 - P V P' = d K``, written out
     so that nothing is a difference.
@@ -127,7 +128,7 @@ def _add_message(M, T, R, z, p, q, vm, va, sign, d):
 
 @compiled
 def step_downward(order, parent, Y, z, w, at, column, v, va, message_of, above, factor, block, step, angle_given, dx):
-    """Root to leaves: the step ``dx`` of all voltages and of the powers into children; whether it is finite."""
+    """Pass from root to leaves: fills the step ``dx`` of all voltages and powers into children; True if finite."""
     n = len(order)
     solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], angle_given, False, block, np.empty(N_KNOWN))
     for k in range(4):
@@ -148,7 +149,10 @@ def step_downward(order, parent, Y, z, w, at, column, v, va, message_of, above, 
 def variances_downward(
     order, parent, Y, z, w, at, column, v, va, message_of, above, factor, more, block, angle_given, variance
 ):  # fmt: skip
-    """Root to leaves: ``variance`` of all variables; diag(Omega) of every slot, (n, 10), and whether digits remain."""
+    """Pass from root to leaves: fills ``variance`` of all variables.
+
+    Returns diag(Omega) of every slot, (n, 10), and True where digits enough are left.
+    """
     n = len(order)
     solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], angle_given, False, block, np.empty(N_KNOWN))
     state, omega, S = find_variances(parent, Y, w, v, factor, more, block, angle_given)

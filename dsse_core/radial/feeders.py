@@ -1,7 +1,7 @@
-"""The iteration of a large network on several threads: what hangs below its first fork is independent of the rest.
+"""The iteration of a large network on several threads: the feeders below its first fork are independent of each other.
 
-Every thread has some feeders, which are numbered in one piece. Between two joint steps each thread moves its voltages
-and eliminates its buses, and then substitutes; the trunk, from the root to the fork, is done in between.
+Every thread has some feeders, whose buses are numbered in one piece. In each step every thread moves the voltages of
+its buses and eliminates them. Then the trunk, from the root to the fork, is solved, and every thread substitutes.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from dsse_core.radial.root import N_KNOWN
 
 
 def find_feeders(parent: np.ndarray, threads: int) -> tuple[int, list[tuple[int, int]]]:
-    """The bus of the first fork, and for each thread the first of its buses and the one after its last.
+    """The bus of the first fork, and for each thread the first of its buses and the bus after its last.
 
-    As even as feeders are; fewer than ``threads`` where there are not as many feeders, one where there is no fork.
+    The parts are as even as the feeders allow. There are fewer than ``threads`` parts where feeders are fewer, and none
+    where the network has no fork.
     """
     n = len(parent)
     children = np.bincount(parent[1:], minlength=n)
@@ -39,9 +40,9 @@ def find_feeders(parent: np.ndarray, threads: int) -> tuple[int, list[tuple[int,
 def go_up(
     first, end, fork, parent, place, Y, z, w, v, va, currents, share, dva, above, factor, more, step, to_fork
 ):  # fmt: skip
-    """Move the voltages from ``first`` to ``end`` - 1 by ``share`` of the last step, if any, and eliminate their buses.
+    """Moves the voltages from ``first`` to ``end`` - 1 by ``share`` of the last step and eliminates their buses; J.
 
-    ``above`` (deepest level + 1, 16), 0: memory of one thread. ``to_fork`` (16,): what passes to the fork. Returns J.
+    ``above`` (deepest level + 1, 16), 0: memory of one thread. Fills ``to_fork`` (16,), the message to the fork.
     """
     if share > 0.0:
         move(v[first:end], va[first:end], step[first:end], share, dva)
@@ -57,7 +58,10 @@ def go_up(
 
 @compiled
 def pass_trunk(fork, parent, place, Y, z, w, v, va, currents, above, factor, more, block, step, to_fork):
-    """Eliminate the trunk with all rows of ``to_fork`` (:, 16), and substitute it; J, max |dva| and |dvm|, finite?"""
+    """Eliminates the trunk with all rows of ``to_fork`` (:, 16), and substitutes.
+
+    Returns J, max |dva|, max |dvm|, and True where the step is finite.
+    """
     for t in range(len(to_fork)):
         for k in range(N_KNOWN):
             above[place[fork], k] += to_fork[t, k]

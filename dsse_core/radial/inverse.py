@@ -1,4 +1,4 @@
-"""Variances of the voltages and of all residuals from the factors of ``radial_kernel``: the selected inverse."""
+"""Variances of the voltages and of all residuals from the factors of ``kernel``: the selected inverse."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def turn_to_radial_order(order, vm, va, v, va_in_order):
 def find_variances(parent, Y, w, v, factor, more, block, angle_given):
     """diag of the covariance of (va, vm), (n, 2); diag(Omega) of all slots with a meter, (n, 10); blocks, (n, 4, 4).
 
-    A block is that of the inverse at the ``(lam, x)`` of a bus; ``block`` has the root's, from ``solve_root``. With D,
-    U and X = D^-1 U of a bus and S the block at its parent: ``-X S`` is the block between the two and
-    ``D^-1 + X S X'`` that of ``(lam, f)``.
-    Of an injection ``Omega = -R^2 (K^-1)_lamlam``, of other meters ``sigma^2 - h Cov h'``.
+    A block is the part of the inverse at the ``(lam, x)`` of a bus; ``block`` has the root's, from ``solve_root``. With
+    D, U and X = D^-1 U of a bus and S the block at its parent, ``-X S`` is the block between the two buses, and
+    ``D^-1 + X S X'`` that of ``(lam, f)``. Injections have ``Omega = -R^2 (K^-1)_lamlam``, other meters
+    ``sigma^2 - h Cov h'``.
     """
     n = len(parent)
     state, omega = np.empty((n, 2)), np.zeros((n, 10))
@@ -55,7 +55,7 @@ def find_variances(parent, Y, w, v, factor, more, block, angle_given):
 
 @compiled
 def find_last_angle(parent, w, factor, more, of_lam):
-    """The variance of va of the last bus where x of the first is given, and ``of_lam`` (2, 2) is the block of lam."""
+    """Variance of va of the last bus of a path; x of the first is given, and ``of_lam`` (2, 2) is its block of lam."""
     S, branch = np.zeros((len(parent), 4, 4)), np.empty((len(parent), 5))
     S[0, :2, :2] = of_lam
     _descend(parent, w, factor, more, S, branch)
@@ -64,10 +64,10 @@ def find_last_angle(parent, w, factor, more, of_lam):
 
 @compiled
 def find_variances_of_sums(parent, w, X, lam, T, Z, S0, indptr, indices, data):
-    """Variances of linear functions of the state, (n_sum,): their right-hand sides are eliminated as those of a step.
+    """Variances of linear functions of the state, (n_sum,), by eliminating their right-hand sides as those of a step.
 
-    Each function has, as rows of a sparse matrix (n_sum, 3 n), its derivatives by the ``f`` and the dvm / vm of each
-    bus. ``lam`` (n, 3): (D^-1)_lamlam; ``S0``: the block of the inverse at the root's ``(lam, x)``.
+    ``indptr``, ``indices``, ``data``: sparse rows (n_sum, 3 n) of each function's derivatives by ``f`` (2) and
+    dvm / vm of each bus. ``lam`` (n, 3): (D^-1)_lamlam; ``S0``: the block of the inverse at the root's ``(lam, x)``.
     """
     n, found = len(parent), np.zeros(len(indptr) - 1)
     above, of_f, reached = np.zeros((n, 4)), np.zeros((n, 2)), np.zeros(n, dtype=np.bool_)
@@ -93,7 +93,7 @@ def find_variances_of_sums(parent, w, X, lam, T, Z, S0, indptr, indices, data):
 
 @compiled
 def _eliminate_sum(i, p, w, X, lam, T, Z, above, of_f):
-    """b' D^-1 b of the right-hand side b of a bus, which is passed on to its parent ``p`` and then 0."""
+    """b' D^-1 b of the right-hand side b of a bus; passes b on to the parent ``p`` and sets it to 0."""
     l0 = above[i, 0] if w[i, 2] >= 0.0 else 0.0  # no meter, no multiplier
     l1 = above[i, 1] if w[i, 3] >= 0.0 else 0.0
     s0, s1 = above[i, 2], above[i, 3]
@@ -116,9 +116,11 @@ def _eliminate_sum(i, p, w, X, lam, T, Z, above, of_f):
 
 @compiled
 def _descend(parent, w, factor, more, S, branch):
-    """The blocks from the root downwards; ``branch`` (n, 5): of f (3), and minus that of f and dvm_p / vm_p (2).
+    """Fills the blocks ``S`` from the root downwards, and ``branch`` (n, 5).
 
-    In single numbers, not in loops over small arrays: compiled, those are bound by traffic with memory.
+    ``branch`` has the block of f (3), and minus the block of f and dvm_p / vm_p (2).
+
+    The code has single numbers in place of loops over small arrays, which memory traffic would slow down.
     """
     for i in range(1, len(parent)):
         s = _upper(S, parent[i])

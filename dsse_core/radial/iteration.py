@@ -1,4 +1,4 @@
-"""Gauss-Newton on a tree, compiled: the steps of ``radial_kernel``, and what ``decision.decide`` says between them."""
+"""Gauss-Newton on a tree, compiled: the steps of ``kernel``, and the rules of ``decision.decide`` between them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dsse_core.radial.block import N_INVERSE, modulus, scaled, wrap
 from dsse_core.radial.kernel import N_FACTOR, N_MORE, SMALL_ANGLE, STEP, descend, eliminate, turned
 from dsse_core.radial.root import N_KNOWN
 
-UNUSABLE = -1  # in place of a verdict: readings that cannot be
+UNUSABLE = -1  # in place of a verdict: some readings are unusable
 N_BLOCK = 4 * N_INVERSE
 N_SPACE = 2 * (2 + 1) + 2 * 10 + N_FACTOR + N_MORE + 4 + N_KNOWN  # numbers for a bus: see ``carve``, ``carve_next``
 correct_step, next_step = compiled(gauss_newton.correct_step), compiled(gauss_newton.next_step)
@@ -22,9 +22,9 @@ is_out_of_reach = compiled(gauss_newton.is_out_of_reach)
 
 
 def make_space(n: int) -> np.ndarray:
-    """Memory of an iteration on n buses, for ``carve``: one array, as each that is given to compiled code takes time.
+    """Memory of an iteration on n buses, for ``carve``: one array, as each argument of compiled code takes time.
 
-    Allocated once it is faster to use than memory that the system has to clear first, for each estimate.
+    Memory that is kept from estimate to estimate is faster than new memory, which the system has to clear first.
     """
     return np.zeros(N_BLOCK + N_SPACE * n)
 
@@ -63,11 +63,11 @@ def estimate(
     parent, place, Y, order, meter, exact, start, start_va, has_currents,
     tolerance, most_steps, limit, values, sigmas, space, state, residual,
 ):  # fmt: skip
-    """The whole iteration in one call, from the first step to the last one, or to the end of patience.
+    """The whole iteration in one call, from the first step to the last one, or until it is lost.
 
-    Fills ``state`` (2, n_bus), vm and va in network order, and ``residual`` (n_meas,), makes ``sigmas`` 0 where a
-    reading is ``exact``, and returns how it ended, see ``iterate``, steps, the last one and J; UNUSABLE: readings that
-    cannot be. ``space``: see ``make_space``.
+    Fills ``state`` (2, n_bus), vm and va in network order, and ``residual`` (n_meas,), and makes ``sigmas`` 0 where a
+    reading is ``exact``. Returns the end, see ``iterate``, the number of steps, the size of the last one, and J; the
+    end is UNUSABLE where some readings are. ``space``: see ``make_space``.
     """
     n = len(parent)
     v, va, z, w, above, factor, more, step, block = carve(space, n)
@@ -89,11 +89,12 @@ def estimate(
 def iterate(
     parent, place, Y, z, w, v, va, has_currents, tolerance, most_steps, limit, above, factor, more, block, step, ahead
 ):  # fmt: skip
-    """Gauss-Newton from ``v`` and ``va``, which are changed. Returns how it ended, how many steps, and the last one.
+    """Gauss-Newton from ``v`` and ``va``, which are changed. Returns the end, the number of steps, the last one's size.
 
-    Each step leads from one memory of v and va to the other, ``ahead``, see ``carve_next``, and is taken again where it
-    turns out to be shorter or larger than it was taken for. FINAL, EVALUATE: the verdict that the last step was taken
-    along with, ``limit`` being that of J. LOST: ``most_steps`` or LARGEST_STEP.
+    Each step leads from one memory of v and va to the other, ``ahead``, see ``carve_next``. A step is taken again where
+    its share turns out shorter, or its angles too large for ``small`` (see ``descend``). The end is FINAL or EVALUATE,
+    the verdict with the last step, with ``limit`` that of J; or LOST: the steps are used up, or the last one is larger
+    than LARGEST_STEP or out of reach.
     """
     found, found_va = v, va
     v_to, va_to = ahead
@@ -135,18 +136,18 @@ def forget_meters(w):
 
 @compiled
 def place_of(slot):
-    """Bus and column; without a sign, which costs as much as the rest of a loop over the meters."""
+    """Bus and column of ``slot``, unsigned: signed division would double the time of a loop over the meters."""
     unsigned = np.uint64(slot)
     return unsigned // np.uint64(10), unsigned % np.uint64(10)
 
 
 @compiled
 def store(meter, exact, values, sigmas, z, w):
-    """Readings into ``z`` and weights into ``w``, both (n, 10): 1 / sigma^2, of injections sigma^2; see ``absent``.
+    """Stores readings in ``z`` and weights in ``w``, both (n, 10): 1 / sigma^2, of injections sigma^2; see ``absent``.
 
-    What ``z`` has where there is no meter does not count. ``meter`` (n, 10): of each slot, -1 without one; bus by bus,
-    as what is written in another order leaves the processor's cache several times. Makes sigma 0 where a reading is
-    ``exact``; returns whether all readings can be.
+    Entries of ``z`` without a meter do not count. ``meter`` (n, 10): the meter of each slot, -1 without one. The order
+    is bus by bus, as entries written in another order leave the processor's cache several times. Makes sigma 0 where a
+    reading is ``exact``. Returns True where all readings are usable.
     """
     usable = True
     for i in range(len(meter)):
@@ -168,7 +169,7 @@ def store(meter, exact, values, sigmas, z, w):
 
 @compiled
 def subtract(slot, values, sigmas, h, residual):
-    """z - h(x) of every meter into ``residual``, differences of angles wrapped to (-pi, pi]. Returns J."""
+    """Stores z - h(x) of every meter in ``residual``, differences of angles wrapped to (-pi, pi]. Returns J."""
     J = 0.0
     for k in range(len(slot)):
         i, column = place_of(slot[k])
@@ -181,10 +182,10 @@ def subtract(slot, values, sigmas, h, residual):
 
 @compiled
 def find_residuals(parent, place, Y, z, w, v, va, has_currents, meter, above, h, residual):
-    """What ``predict`` and ``subtract`` find, from readings and weights by slot, without h(x) in memory. Returns J.
+    """Fills ``residual`` as ``predict`` and ``subtract`` do, from readings and weights by slot. Returns J.
 
-    ``meter`` (n, 10): the meter of each slot, -1 without one. Powers into branches are added up in ``above``, see
-    ``eliminate``; ``h`` (10,): memory.
+    h(x) is never in memory as a whole. ``meter`` (n, 10): the meter of each slot, -1 without one. Powers into branches
+    are added up in ``above``, see ``eliminate``; ``h`` (10,): memory.
     """
     J = 0.0
     for i in range(len(parent) - 1, -1, -1):
@@ -247,7 +248,7 @@ def find_objective(parent, Y, z, w, v, va, has_currents, power):
 
 @compiled
 def move(v, va, step, length, largest_angle):
-    """Turn and lengthen all voltages by ``length`` of their steps, of which no angle is larger."""
+    """Turns and lengthens all voltages by ``length`` of their steps, whose angles are ``largest_angle`` at most."""
     small = length * largest_angle < SMALL_ANGLE
     for i in range(len(v)):
         d = length * step[i, 2]
@@ -257,13 +258,13 @@ def move(v, va, step, length, largest_angle):
 
 @compiled
 def predict(parent, Y, v, va, has_currents, h):
-    """h(x) of every slot, shape (n, 10); of currents only if there are any."""
+    """Fills h(x) of every slot, shape (n, 10); of currents only with ``has_currents``."""
     predict_part(0, len(parent), parent, Y, v, va, has_currents, h)
 
 
 @compiled
 def predict_part(first, end, parent, Y, v, va, has_currents, h):
-    """``predict`` of the buses from ``first`` to ``end`` - 1, without what flows from a bus before ``first``."""
+    """``predict`` of the buses from ``first`` to ``end`` - 1, without the flows out of a parent before ``first``."""
     for i in range(first, end):
         square = v[i].real ** 2 + v[i].imag ** 2
         h[i, 0], h[i, 1] = va[i], math.sqrt(square)

@@ -33,8 +33,9 @@ SURELY_DEFINITE = 1e-4  # determinant over product of the diagonal from which on
 N_FACTOR = 24  # of a bus: X (16), y (4), t (2), q (2)
 N_MORE = 9  # alpha (4) and beta (2) for row_of_branch, where there is such a row; (D^-1)_lamlam (3)
 
-# Modes: a step; also (D^-1)_lamlam; only whether every block can be solved; all but the root, what is known of it in
-# above[0], and (D^-1)_lamlam, always with pivoting, so that of what nobody measures nothing seems to be known.
+# Modes. STEP: a step. INVERT: also (D^-1)_lamlam. CHECK: only the least pivot ratio, which tells if every block can be
+# solved. UPWARD: all buses but the root, whose information stays in above[0], and (D^-1)_lamlam; always with pivoting,
+# so that no information seems to be there about unmetered quantities.
 STEP, INVERT, CHECK, UPWARD = 0, 1, 2, 3
 
 
@@ -63,12 +64,12 @@ def absent(n: int) -> np.ndarray:
 
 @compiled
 def eliminate(parent, Y, z, w, v, va, currents, mode, place, above, factor, more, block, step, least_of_flow=0.0):
-    """Leaves to root, then the root's step. Returns, with mode CHECK, the least pivot ratio and the bus it is at; J.
+    """Eliminates from leaves to root and finds the root's step. Returns the least pivot ratio, its bus (CHECK), and J.
 
-    ``above`` (:, 16) may hold what else is known of ``(lam, x)`` of any bus, in row ``place`` of it, (n,). Where that
-    is nothing, buses of one level may have one row, as a subtree is numbered in one piece. ``factor`` (n, 24) and
-    ``more`` (n, 9) are filled for what follows, and of ``step`` (n, 4) the root's. ``least_of_flow`` is added to the
-    information about each branch's power. J counts the meters in use, at ``v`` and ``va``.
+    ``above`` (:, 16) may hold other information about ``(lam, x)`` of any bus, in its row ``place``, (n,). Without such
+    information buses of one level may share one row, as a subtree is numbered in one piece. ``factor`` (n, 24) and
+    ``more`` (n, 9) are filled for later passes, and the root's row of ``step`` (n, 4). ``least_of_flow`` is added to
+    the information about each branch's power. J counts the meters in use, at ``v`` and ``va``.
     """
     least, at, J = eliminate_below(
         1, len(parent), parent, Y, z, w, v, va, currents, mode, place, above, factor, more, block, least_of_flow
@@ -85,7 +86,7 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, place, above, factor, more
 
 @compiled
 def eliminate_root(Y, z, w, v, va, check, known, block, step):
-    """The root's step from what is ``known`` of it, (16,), then 0. Returns as ``solve_root``."""
+    """Finds the root's step from ``known``, the information about it, (16,), which becomes 0; see ``solve_root``."""
     ratio = solve_root(Y[0], z[0], w[0], v[0], va[0], known, True, check, block, known)
     for k in range(4):
         step[0, k] = block[k, 8]
@@ -164,7 +165,7 @@ def eliminate_below(
             L11, L01, X10, X11, r1, c1 = -1.0, 0.0, 0.0, 0.0, 0.0, 0.0
         elif w[i, 3] > 0.0:
             J += misfit_q * misfit_q / w[i, 3]
-        # what is known of x
+        # information about x
         N00, N01, N11 = above[own_place, 7], above[own_place, 8], above[own_place, 9]
         s0, s1 = above[own_place, 12], above[own_place, 13]
         if check:
@@ -225,7 +226,7 @@ def eliminate_below(
         det = L00 * L11 - L01 * L01
         definite = not (check or upward) and L00 < 0.0 and L11 < 0.0 and det > SURELY_DEFINITE * L00 * L11
         if definite:
-            # lam first, then f: 2 x 2 and only sums of what is positive
+            # lam first, then f: 2 x 2 blocks, and only sums of positive terms
             over = 1.0 / det
             M00, M01, M11 = -L11 * over, L01 * over, -L00 * over
             Q00, Q01 = M00 * C00 + M01 * C10, M00 * C01 + M01 * C11
@@ -321,16 +322,16 @@ def row_of_branch(k, own, at_parent, vm, p2, coefficients):
 
 @compiled
 def coefficients_of(i, factor, more):
-    """What ``row_of_branch`` needs of a bus that ``eliminate`` has passed."""
+    """Coefficients for ``row_of_branch`` of a bus that ``eliminate`` has passed."""
     alpha_and_beta = more[i, 0], more[i, 1], more[i, 2], more[i, 3], more[i, 4], more[i, 5]
     return *alpha_and_beta, factor[i, 21], factor[i, 22], factor[i, 23]
 
 
 @compiled
 def substitute(parent, factor, v, step):
-    """Root to leaves: ``step`` (n, 4) = lam (2) and x of every bus, the root's being there.
+    """Fills ``step`` (n, 4), lam (2) and x of every bus, from root to leaves; that of the root is given.
 
-    Returns max |dva|, max |dvm|, and whether all are finite.
+    Returns max |dva|, max |dvm|, and True where all are finite.
     """
     dva, dvm = abs(step[0, 2]), modulus(v[0]) * abs(step[0, 3])
     dva, dvm, finite = substitute_below(1, len(parent), parent, factor, v, step, dva, dvm)
@@ -339,7 +340,7 @@ def substitute(parent, factor, v, step):
 
 @compiled
 def substitute_below(first, end, parent, factor, v, step, dva, dvm):
-    """``substitute`` for the buses from ``first`` to ``end`` - 1; what it returns is at least what is given."""
+    """``substitute`` for the buses from ``first`` to ``end`` - 1; the maxima start at ``dva`` and ``dvm``."""
     largest, total = dvm * dvm, 0.0
     for i in range(first, end):
         p = parent[i]
@@ -359,12 +360,11 @@ def substitute_below(first, end, parent, factor, v, step, dva, dvm):
 
 @compiled
 def descend(parent, place, factor, v, va, step, length, small, v_to, va_to):
-    """``substitute``, and where the ``length`` of the step leads from ``v`` and ``va``, in one pass.
+    """``substitute``, and the state ``v_to``, ``va_to`` by ``length`` of the step from ``v`` and ``va``, in one pass.
 
-    Of ``step`` only the rows ``place`` are used, which are those of the levels: what is written for every bus leaves
-    the processor's cache in a large network, which takes longer than to compute it. ``small``: see ``turned``.
-    The formulas are those of ``substitute_below``; in a function of their own, even if inlined, they take an estimate a
-    quarter longer.
+    Only the rows ``place`` of ``step`` are used, one for each level. A row for every bus would leave the processor's
+    cache in a large network, which takes longer than the computation. ``small``: see ``turned``. The formulas are those
+    of ``substitute_below``; in a function of their own, even inlined, they make an estimate a quarter longer.
     """
     d0, d1 = step[place[0], 2], step[place[0], 3]
     dva, largest, total = abs(d0), (v[0].real ** 2 + v[0].imag ** 2) * d1 * d1, d0 + d1

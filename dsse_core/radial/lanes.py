@@ -1,7 +1,7 @@
-"""Numbers of several rows side by side, for code compiled with numba: what is written for one row does LANES at once.
+"""Numbers of several rows side by side, for code compiled with numba: code for one row computes LANES rows at once.
 
-Compiled for arrays of ``lanes`` in place of floats, arithmetic is that of the processor's vectors, without relying on
-a compiler that finds out by itself. A comparison holds where it holds in every lane.
+Compiled for arrays of ``lanes`` in place of floats, code uses the vector arithmetic of the processor. It does not rely
+on the compiler to vectorise by itself. A comparison holds where it holds in every lane.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def _pair(context: Any, builder: Any, real: Any, imag: Any) -> Any:
 
 
 def _define(function: Any, returns: Any, takes: tuple[Any, ...], emit: Callable[..., Any]) -> None:
-    """Have compiled code call ``emit(context, builder, *args)`` for ``function`` where an argument is of lanes."""
+    """Makes compiled code call ``emit(context, builder, *args)`` for ``function`` where an argument is of lanes."""
 
     class Typed(AbstractTemplate):
         key = function
@@ -142,7 +142,7 @@ def _remainder(context: Any, builder: Any, a: Any, b: Any) -> Any:
 
 
 def _square(_: Any, builder: Any, a: Any, power: Any) -> Any:
-    """The only power that the kernel has."""
+    """The square, the only power in the kernel."""
     return builder.fmul(a, a)
 
 

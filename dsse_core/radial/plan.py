@@ -1,4 +1,4 @@
-"""What the radial back end needs to know of a radial network and its meters: found once, used for every scan."""
+"""Plan of the radial back end: the arrays of a radial network and its meters, found once for all scans."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class RadialPlan:
     ``admittance`` (n_bus, 8) complex: see ``stack_admittances``; ``no_load_admittance``: without shunts and charging.
     ``slot`` (n_meas,): place of each meter's reading in an array (n_bus, N_SLOT), flattened. ``start`` (n_bus,) complex
     and ``start_va`` (n_bus,): the flat start in tree order, with the angle that is given at the root. ``level``
-    (n_bus,): number of branches to the root. ``spaces``: memory of iterations that nobody uses at the moment.
+    (n_bus,): number of branches to the root. ``spaces``: memory that no iteration uses at the moment.
     """
 
     network: Network
@@ -83,8 +83,8 @@ class RadialLayout:
 
     ``order`` (n_bus,): network row of each bus of the tree. ``number`` (n_bus,): place in the tree of each network
     row. ``parent`` (n_bus,): number of its parent; the root's is 0. ``child`` (n_branch,): number of the bus below each
-    branch in service; ``from_parent`` (n_branch,): whether its from side is above. ``active`` (n_branch,): its row
-    among all.
+    branch in service; ``from_parent`` (n_branch,): True where its from side is above. ``active`` (n_branch,): its row
+    among all branches.
     """
 
     order: np.ndarray
@@ -96,7 +96,7 @@ class RadialLayout:
 
 
 def lay_out_radial(network: Network, root: int) -> RadialLayout | str:
-    """The tree of ``network`` with bus ``root`` on top, or, as text, why the compiled passes cannot serve it."""
+    """The tree of ``network`` with bus ``root`` on top, or, as text, the reason why compiled passes cannot serve it."""
     if (obstacle := compiling.find_obstacle()) is not None:
         return obstacle
     table = network.table
@@ -106,7 +106,7 @@ def lay_out_radial(network: Network, root: int) -> RadialLayout | str:
 
 
 def build_radial_plan(network: Network, meters: Sequence[Meter], *, reference: int | None = None) -> RadialPlan | str:
-    """The plan for ``meters`` in ``network``, or, as text, why the radial back end cannot serve them.
+    """The plan for ``meters`` in ``network``, or, as text, the reason why the radial back end cannot serve them.
 
     Args:
         reference: bus whose angle is given, the root of the tree; the slack bus by default.
@@ -149,7 +149,7 @@ def _check_determined(plan: RadialPlan, stuck: int) -> RadialPlan | str:
 
 
 def stack_admittances(network: Network, layout: RadialLayout) -> np.ndarray:
-    """What the compiled passes need of the branch above each bus and of its shunt, shape (n_bus, 8), complex.
+    """Admittances of the branch above each bus and of its shunt for the compiled passes, (n_bus, 8), complex.
 
     Conjugates of ``ycc, ycp, ypp, ypc, ypp / ypc, 1 / ypc, ycp / conj(ypc)``, c the child's end and p the parent's
     (see ``build_admittance``), and of the shunt.
@@ -190,7 +190,7 @@ def _misfits(network: Network, meters: Sequence[Meter]) -> InvalidInputError:
 
 @cache
 def _load_compiled() -> ModuleType:
-    """What needs numba; an import statement takes longer, every time, than to look it up here."""
+    """Module of compiled code, loaded with numba once; an import statement in each call would take longer."""
     from dsse_core.radial import layout
 
     return layout

@@ -1,4 +1,4 @@
-"""Which meters of a tree cannot be spared, by fitting random readings at no load; see ``find_indispensable``."""
+"""Indispensable meters of a tree, found by fitting random readings at no load; see ``find_indispensable``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from dsse_core.radial.plan import N_SLOT, RadialPlan
 
 
 def find_radial_indispensable(plan: RadialPlan) -> np.ndarray:
-    """Which meters, virtual ones included, leave the state undetermined when taken out, shape (n_meas,), bool."""
+    """True for meters, virtual ones included, without any one of which the state is undetermined, (n_meas,), bool.
+
+    Current magnitudes are never indispensable.
+    """
     n, Y, slot = len(plan.order), plan.no_load_admittance, plan.slot
     length = _row_lengths(plan.parent, Y)
     own_length = length.ravel()[slot]
@@ -38,7 +41,7 @@ def find_radial_indispensable(plan: RadialPlan) -> np.ndarray:
 
 
 def _row_lengths(parent: np.ndarray, Y: np.ndarray) -> np.ndarray:
-    """Roughly the length of the row of H of every slot, shape (n, N_SLOT): as ``observability`` scales them."""
+    """Rough length of the row of H of every slot, shape (n, N_SLOT), as ``observability`` scales rows."""
     ycc, ycp, ypp, ypc = abs(Y[:, :4]).T
     at_child, at_parent = np.hypot(ycc, ycp), np.hypot(ypp, ypc)
     at_parent[0] = 0.0
@@ -51,7 +54,7 @@ def _row_lengths(parent: np.ndarray, Y: np.ndarray) -> np.ndarray:
 
 @compiled
 def _fit_residuals(parent, Y, z, w, v, va, factor, more, step):
-    """``r - H dx`` of every slot with a meter, shape (n, 10), from the unknowns of the step, not from differences."""
+    """``r - H dx`` of every slot with a meter but currents, (n, 10); of injections by the multipliers of the step."""
     n = len(parent)
     residual = np.zeros((n, 10))
     for i in range(n):

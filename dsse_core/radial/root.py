@@ -1,4 +1,4 @@
-"""The root of a tree, once all its branches are added up: what is known of it, and its step. Compiled."""
+"""The root of a tree, after all its branches are added up: information about it, and its step. Compiled."""
 
 from __future__ import annotations
 
@@ -12,10 +12,14 @@ N_KNOWN = 16  # of a root or an addressee: see describe_root
 
 @compiled
 def describe_root(Y, z, w, v, va, M, angle_given, power_too, K):
-    """What is known of the root: ``K`` (16,) as ``above``, but with its own meters and, with ``power_too``, balance."""
+    """Fills ``K`` (16,) with the information about the root, in the order of ``above``.
+
+    That is ``M``, from its branches, its own meters and, with ``power_too``, its balance of power. With ``angle_given``
+    the entries of the angle are 0.
+    """
     u2 = v.real**2 + v.imag**2
     vm = math.sqrt(u2)
-    for k in range(N_KNOWN):  # a slice would compile the text of an error that cannot be
+    for k in range(N_KNOWN):  # a slice would compile the text of an error that cannot occur
         K[k] = M[k]
     if power_too:
         ysh = scaled(Y[7], u2)
@@ -37,7 +41,7 @@ def describe_root(Y, z, w, v, va, M, angle_given, power_too, K):
 
 @compiled
 def solve_root(Y, z, w, v, va, M, angle_given, check, block, K):
-    """Its block of the inverse in columns 4 to 7 of ``block``, its step in 8; returns as ``solve_block``.
+    """Fills ``block``: the root's block of the inverse in columns 4 to 7, its step in 8. Returns as ``solve_block``.
 
     ``K`` (16,), which may be ``M``, is overwritten.
     """

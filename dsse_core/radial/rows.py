@@ -16,7 +16,7 @@ from dsse_core.radial.lanes import LANES
 from dsse_core.radial.layout import LEAST_PIVOT_RATIO
 from dsse_core.radial.together import estimate_together
 
-UNREADABLE = -1  # in place of how many readings are missing
+UNREADABLE = -1  # in place of the number of missing readings: some readings are unusable
 
 
 @compiled
@@ -27,10 +27,10 @@ def estimate_rows(
     """The iteration of each row of ``values`` (n_row, n_meas); a reading that is NaN is missing.
 
     ``sigmas`` (n_row or 1, n_meas), 0 where a reading is ``exact``. ``starts`` (n_row, 1 or 0, 2, n_bus): vm and va in
-    network order; without them the start of the plan. ``limit`` (n_row,): of J. ``lanes``: memory of rows side by side,
-    without which each is done by itself; so are those that are too few, and LANES of which one is unlike the others.
-    Fills ``vm`` and ``va_found`` (n_row, n_bus) in network order, ``objective``, ``steps`` and whether the row
-    ``succeeded`` (n_row,): else its numbers do not count.
+    network order; without them the start of the plan. ``limit`` (n_row,): limit of J. ``lanes``: memory of
+    LANES rows side by side. A row is done by itself without that memory, where fewer than LANES rows are left, or where
+    ``estimate_together`` fails for its LANES rows. Fills ``vm`` and ``va_found`` (n_row, n_bus) in network order,
+    ``objective``, ``steps`` and ``succeeded`` (n_row,); where that is False the row's numbers do not count.
     """
     n = len(parent)
     v, va, z, w, above, factor, more, step, block = carve(space, n)
@@ -79,7 +79,7 @@ def estimate_rows(
 
 @compiled
 def _weigh(slot, exact, sigmas, w):
-    """Weights of all meters into ``w``: see ``store``. Whether all sigmas can be."""
+    """Stores the weights of all meters in ``w``: see ``store``. True where all sigmas are usable."""
     usable = True
     for m in range(len(slot)):
         i, column = place_of(slot[m])
@@ -91,7 +91,7 @@ def _weigh(slot, exact, sigmas, w):
 
 @compiled
 def _store_row(slot, exact, values, z, w):
-    """Readings into ``z``; what is missing out of ``w``. How many are missing, or UNREADABLE: some that cannot be."""
+    """Stores readings in ``z``, drops missing ones from ``w``; their number, or UNREADABLE with unusable readings."""
     missing = 0
     for m in range(len(slot)):
         i, column = place_of(slot[m])
@@ -109,7 +109,7 @@ def _store_row(slot, exact, values, z, w):
 
 @compiled
 def _has_currents(w):
-    """Whether one is left of the meters of current magnitudes."""
+    """True where ``w`` has a meter of a current magnitude."""
     left = False
     for i in range(len(w)):
         left = left or w[i, 6] > 0.0 or w[i, 9] > 0.0
@@ -118,7 +118,7 @@ def _has_currents(w):
 
 @compiled
 def _are_determined(parent, place, no_load_Y, z, w, start, start_va, above, factor, more, block, step):
-    """Whether the meters in ``w`` determine the state, as ``find_stuck`` finds for those of a plan."""
+    """True where the meters in ``w`` determine the state, by the test of ``find_stuck``."""
     all_alike = np.empty_like(w)
     for i in range(len(w)):
         for k in range(10):

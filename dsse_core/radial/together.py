@@ -17,7 +17,7 @@ from dsse_core.radial.root import N_KNOWN
 N_BLOCK = 4 * N_INVERSE
 N_SPACE = 2 + 1 + 10 + N_FACTOR + N_MORE + 4 + N_KNOWN  # lanes for a bus: see ``_carve``
 ALIGNED = 64  # bytes
-MOST_BUSES = 20_000  # from some 10,000 on memory is what takes time, and a thread wants 3 kB of it for a bus
+MOST_BUSES = 20_000  # from some 10,000 on memory limits the speed; a thread needs 3 kB of it for each bus
 
 
 def count_bytes(n: int) -> int:
@@ -28,7 +28,7 @@ def count_bytes(n: int) -> int:
 def make_space(n: int) -> np.ndarray:
     """Memory of an iteration on n buses, (:, LANES), each row of it in one line of the processor's cache.
 
-    None for no bus, for more than MOST_BUSES, and where nothing is compiled: there are lanes in compiled code only.
+    Empty for no bus, for more than MOST_BUSES, and where code is not compiled, as lanes exist in compiled code only.
     """
     if not 0 < n <= MOST_BUSES or not hasattr(estimate_together, "py_func"):
         return np.empty((0, LANES))
@@ -64,8 +64,8 @@ def estimate_together(
 ):  # fmt: skip
     """``rows.estimate_rows`` of LANES rows, whose weights ``w`` (n, 10) are the same, without currents.
 
-    Returns whether all have an estimate after full steps; else nothing that is filled counts: a reading is missing or
-    cannot be, or a row wants shorter steps.
+    Returns True where all rows have an estimate after full steps. Else no result counts: a reading is missing or
+    unusable, or a row needs shorter or more steps.
     """
     n = len(parent)
     v, va, z, above, factor, more, step, block = _carve(space, n)
@@ -93,7 +93,7 @@ def estimate_together(
 
 @compiled
 def _store_rows(slot, exact, values, z):
-    """Readings into ``z``; whether all are there and can be."""
+    """Stores readings in ``z``; True where all are there and usable."""
     usable = True
     for m in range(len(slot)):
         i, column = place_of(slot[m])
@@ -115,7 +115,7 @@ def _begin(order, starts, v, va):
 
 @compiled
 def _iterate(of_tree, work, tolerance, limit, steps):
-    """``iteration.iterate`` with full steps, of which a row that has ended takes none; whether all end by these."""
+    """``iteration.iterate`` with full steps for all rows that have not ended; True where all end by these."""
     parent, place, Y, z, w, v, va = of_tree
     above, factor, more, block, step = work
     totals = np.zeros((4, LANES))  # J, |dva|, |dvm|, share of the step

@@ -1,4 +1,4 @@
-"""The buses of a tree from its root outwards, compiled: of a small one a graph of scipy takes longest of all."""
+"""The buses of a tree from its root outwards, compiled: for a small tree a graph of scipy would take longest."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dsse_core.code_cache import compiled
 
 @compiled
 def find_order(f, t, top, n):
-    """What ``radial_order.walk_graph`` finds."""
+    """Rows reached from ``top``, and ``upstream`` (n,), -1 where not reached; see ``radial_order.walk_graph``."""
     order, upstream = np.empty(n, dtype=np.int64), np.full(n, -1)
     count = _walk(f, t, top, order, upstream)
     return order[:count], upstream
@@ -17,9 +17,9 @@ def find_order(f, t, top, n):
 
 @compiled
 def _walk(f, t, top, order, upstream):
-    """Fill ``order`` with the rows that are reached and ``upstream`` (n_bus,), -1 elsewhere; how many are reached.
+    """Fills ``order`` with the rows that are reached, and ``upstream`` (n_bus,); returns the number of these rows.
 
-    A row that has been found already is passed over, so that loops end.
+    Rows that are not reached keep -1. A row that has been found already is passed over, so that loops end.
     """
     n = len(upstream)
     first = np.zeros(n + 2, dtype=np.int64)  # of the neighbours of a row, as soon as they are counted and placed
