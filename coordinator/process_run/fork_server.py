@@ -142,7 +142,7 @@ class ForkServer:
         os.set_blocking(wake_write, False)
         signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
         assert operating_system.CHILD is not None  # or the launcher has raised
-        signal.signal(operating_system.CHILD, lambda *_: None)  # the byte on the pipe is what counts
+        signal.signal(operating_system.CHILD, lambda *_: None)  # the byte on the pipe is enough
         for number in ENDS:
             if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
                 signal.signal(number, self._stop)
@@ -279,7 +279,7 @@ class ForkServer:
             group = [pid for pid, child in self.children.items() if child.stop_last == last]
             for pid in group:
                 os.kill(pid, signal.SIGTERM)
-                operating_system.go_on(pid)  # one that was paused could not handle it
+                operating_system.go_on(pid)  # a paused process could not handle the signal
             while any(pid in self.children for pid in group) and time.monotonic() < deadline:
                 self._reap()
                 time.sleep(0.002)

@@ -25,7 +25,7 @@ from dsse_core.grid.partition import Partition
 PREFIX = "dsse-rehearsal-"  # of the names of the folders of its area files
 AREAS = ("first", "second", "third")
 LARGEST = 61  # buses of an area; larger ones are computed by the same code
-SETTLING_S = 0.5  # of virtual time: an estimate, and what is repeated after it
+SETTLING_S = 0.5  # of virtual time: an estimate, and the repeated messages after it
 SIGMA = 0.01
 
 

@@ -139,7 +139,7 @@ def _send(pids: Collection[int], number: int) -> None:
     for pid in pids:
         with contextlib.suppress(ProcessLookupError, PermissionError):  # named in the error at the end
             os.kill(pid, number)
-            operating_system.go_on(pid)  # one that was paused could not handle it
+            operating_system.go_on(pid)  # a paused process could not handle the signal
 
 
 def _wait_for_end(run: StartedRun, wait_s: float) -> None:

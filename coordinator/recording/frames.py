@@ -22,7 +22,7 @@ from dsse_core.files.bounded_file import open_regular
 MAGIC = b"dsse recording 1\n"
 MARK = b"\xd5\x5e\xf4\x01"
 _HEAD = struct.Struct(">4sII")
-LARGEST = 16 * 2**20  # bytes of a body: twice what the bus carries
+LARGEST = 16 * 2**20  # bytes of a body: twice the largest message of the bus
 MOST_SEARCHED = 64 * LARGEST  # bytes of damaged frames that are checked beyond the size of the log
 
 
@@ -51,7 +51,7 @@ class FrameLog:
         """Writes the frames of all ``bodies``, or none of them.
 
         Raises:
-            OSError: naming ``path``; nothing of them is left in the log.
+            OSError: naming ``path``; an incomplete part is cut off again, or is seen as a gap by a reader.
         """
         self._write(b"".join(map(frame, bodies)))
 

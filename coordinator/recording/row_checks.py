@@ -20,7 +20,7 @@ from dsse_core.errors import InvalidInputError
 
 LATEST = 253_402_300_800.0  # s since 1970: the year 10000, where calendars end; so long before 1970 is the earliest
 LARGEST_ANGLE = math.radians(sys.float_info.max)  # rad, a number in degrees, too
-LONGEST_TEXT = 6 * MAX_BYTES  # characters of JSON: what the bus carries, each byte as an escape
+LONGEST_TEXT = 6 * MAX_BYTES  # characters of JSON: the largest message of the bus, each byte as an escape
 
 Time = Annotated[float, Meta(ge=-LATEST, lt=LATEST)]
 AnyName = Annotated[str, Meta(pattern=rf"\A{NAME.pattern}\Z")]  # of a run or an area

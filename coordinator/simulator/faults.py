@@ -1,4 +1,4 @@
-"""What a scenario does to processes, done to the simulator."""
+"""Steps of a fault schedule, carried out on the simulator."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ from agents.security.access import ROUTERS
 from coordinator.process_run.faults.schedule import Step
 from coordinator.simulator.simulator import SimulatedBus
 
-LEASE_S = 2.0  # after which a frozen router is given up for the other one
+LEASE_S = 2.0  # after which processes leave a frozen router for the other one
 
 
 class SimulatorFaults:
-    """Has the steps of a scenario happen on ``bus``; ``routers``: how many linked ones carry its messages.
+    """Carries out the steps of a scenario on ``bus``. ``routers``: number of linked routers that carry its messages.
 
-    A plant that is dead or frozen is one that says nothing: its readings are the same afterwards. Nothing passes a
-    frozen router, which nobody notices; where the last one is dead, everybody's presence is missed. All are linked
-    to the first of two routers, and move over at once when it dies.
+    A plant that is dead or frozen publishes nothing, and has the same readings afterwards. A frozen router passes no
+    message, and presence tokens stay. When the last router dies, every area sees the tokens of its neighbours vanish.
+    All processes are linked to the first of two routers, and move to the other one at once when it dies.
     """
 
     def __init__(self, bus: SimulatedBus, routers: int) -> None:
         self._bus = bus
-        self._alive = list(ROUTERS[:routers])  # the first carries everything
-        self._frozen: dict[str, float] = {}  # since when
+        self._alive = list(ROUTERS[:routers])  # the first one carries all messages
+        self._frozen: dict[str, float] = {}  # router -> virtual time at which it was frozen
 
     def do(self, step: Step) -> None:
-        """Have one step happen; cuts are the links' own business."""
+        """Carries out one step. Cuts of links do nothing here, because the links follow the times of their files."""
         name = step.names[0]
         match step.kind, name:
             case "kill" | "pause" | "silent", "plant":
@@ -60,7 +60,7 @@ class SimulatorFaults:
         self._bus.router_runs = bool(self._alive) and self._alive[0] not in self._frozen
 
     def _give_up(self, name: str, since: float) -> None:
-        """All who are linked to a router that is still frozen move over to the other one."""
+        """Moves all processes from router ``name`` to the other one, if it is still frozen since ``since``."""
         if self._frozen.get(name) == since:
             self._alive.sort(key=lambda other: other in self._frozen)
             self._bus.router_runs = self._alive[0] not in self._frozen

@@ -34,7 +34,7 @@ from scenarios.faults.faults import LinkChanges
 from scenarios.scenario import Scenario
 from scenarios.telemetry import find_lateness, make_telemetry
 
-NO_BUS = ("tcp/127.0.0.1:0",)  # what stands for it in the area files
+NO_BUS = ("tcp/127.0.0.1:0",)  # endpoint in the area files
 CHECKS_PER_HEARTBEAT_S = 10
 FIRST_SCAN = 1
 
@@ -48,7 +48,7 @@ def simulate_scenario(
     on_update: Callable[[Progress], None] | None = None,
     links: LinkChanges = NO_CHANGES,
 ) -> RunResult:
-    """Run ``scenario`` on the simulator and write the files of a run; see ``coordinator.simulate``."""
+    """Runs ``scenario`` on the simulator and writes the files of a run; see ``coordinator.simulate``."""
     scenario = check_with_strategy(choose_scenario(scenario, seed, strategy, timeout_s, links))
     folder = make_run_folder(out, default_run_id(scenario))
     with EventLog(folder / "events.jsonl", 0.0) as events:
@@ -70,7 +70,7 @@ def simulate_scenario(
 
 
 def _begin_recording(scenario: Scenario, folder: Path) -> SimulatedRecording | None:
-    """In ``folder``, if the scenario asks for one."""
+    """A recording in ``folder`` if the scenario asks for one, else None."""
     return SimulatedRecording(folder, STARTED_AT, scenario.record.limit_gb) if scenario.record else None
 
 
@@ -78,8 +78,8 @@ class Simulation:
     """One run of a prepared ``scenario`` on the simulator; ``id``: its name on the bus.
 
     Args:
-        events: where to write down what happens, if anywhere.
-        on_update: called now and then with what the areas are doing.
+        events: log of the events of the run, if one is written.
+        on_update: called about every ``UPDATE_S`` with the progress of the areas.
         subscriber: receives every event, in order.
     """
 
@@ -122,7 +122,9 @@ class Simulation:
         self._faults = SimulatorFaults(self._bus, scenario.transport.routers)
 
     def run(self) -> str | None:
-        """Go on until consensus (None) or the time limit (the reason)."""
+        """Goes on until consensus, and returns None. Returns the reason if the time limit passes, or if no step is left
+        and the areas cannot reach consensus any more.
+        """
         settings = self._scenario.run
         check_s = settings.beat_s / CHECKS_PER_HEARTBEAT_S
         while True:
@@ -143,7 +145,7 @@ class Simulation:
                 return no_consensus_within(self._scenario, obstacles)
 
     def _renew_later(self) -> None:
-        """Have the plant make its next scan when it is due, if readings are to be made anew."""
+        """Schedules the next scan of the plant, if the scenario has an interval of scans."""
         if self._scenario.renew_s is not None:
             self._bus.at(self._bus.now + self._scenario.renew_s, self._renew)
 
@@ -156,7 +158,7 @@ class Simulation:
         self._renew_later()
 
     def evaluate(self, reason: str | None) -> RunOutcome:
-        """The outcome up to now; ``reason``: why there is no consensus, None if there is."""
+        """The outcome up to now. ``reason``: for which there is no consensus; None after consensus."""
         now = self._bus.now
         self._write(now, "consensus" if reason is None else "no consensus", reason=reason)
         self._write(now, "run ended")

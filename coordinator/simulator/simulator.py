@@ -1,8 +1,9 @@
 """The simulator: areas in one process on a simulated bus in virtual time, repeatable to the bit.
 
 Protocol, strategies, faulty links, encoding and decoding are those of real runs; only bus and clock are simulated.
-Every message is packed and read, states and telemetry, too: what no process could read, no simulated area or watcher
-receives. Virtual time passes while messages travel and areas wait for their heartbeat; computing takes none.
+Every message is encoded and decoded, also states and telemetry: a message that no process could read reaches no
+simulated area or watcher. Virtual time passes while messages travel and areas wait for their heartbeat. Computing takes
+no virtual time.
 """
 
 from __future__ import annotations
@@ -48,18 +49,18 @@ from coordinator.plant.telemetry_messages import make_message
 from dsse_core.grid.measurement import Measurement
 
 log = logging.getLogger(__name__)
-TRAVEL_S = 0.001  # of every message, beside what the faults of its link hold it back
-STARTED_AT = 1.7e9  # s since 1970: what virtual time 0 is called in messages
+TRAVEL_S = 0.001  # of every message, in addition to the delay by the faults of its link
+STARTED_AT = 1.7e9  # time of virtual time 0 in messages, s since 1970
 
 
 @dataclass(frozen=True, slots=True)
 class _Wake:
-    """An area's time has come: its heartbeat, its wish to go on, or a message that its link has held back."""
+    """Wakes an area at a time that it waits for: its heartbeat, a wish to go on, or a message delayed by its link."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Call:
-    """Something outside the areas happens."""
+    """A call of a function at a virtual time, for events outside the areas."""
 
     function: Callable[[], None]
 
@@ -69,10 +70,10 @@ Passed = TypeVar("Passed", bound=Message)
 
 
 def _pass(message: Passed) -> Passed:
-    """``message`` as its receiver reads it.
+    """``message``, encoded and decoded as on its way to a receiver.
 
     Raises:
-        MessageError: no receiver can.
+        MessageError: no receiver can read it.
     """
     return cast(Passed, decode(encode(message)))
 
@@ -81,13 +82,13 @@ class SimulatedBus:
     """Areas joined by links that can fail, be cut and healed; areas can be killed, paused and started again.
 
     Args:
-        files: what each area's agent would read.
-        telemetry: area -> its measurements of the first scan. late_s: area -> by how much they come late.
-        on_state, on_presence: called at once, as a watcher who misses nothing, with every state that an area
-            publishes (at, state), and when its presence token appears or vanishes (at, area, alive).
-        on_message: called with each message that an area sends a neighbour (at, receiver, message, False), and with
-            each that arrives (True); one that its link loses does not.
-        on_readings: the same with the readings that an area has used.
+        files: the area file of each area.
+        telemetry: area -> its measurements of the first scan. late_s: area -> delay of these measurements, s.
+        on_state, on_presence: called without delay with every state that an area publishes (at, state), unless no
+            router runs, and when its presence token appears or vanishes (at, area, alive).
+        on_message: called with each message that an area sends to a neighbour (at, receiver, message, False), and again
+            with each that its link passes on (at, receiver, message, True), where ``at`` is the time of arrival.
+        on_readings: called like ``on_state`` with the readings that an area has used (at, readings).
     """
 
     def __init__(
@@ -103,7 +104,7 @@ class SimulatedBus:
         self.now = 0.0
         self.scan = 0
         self.files = {content.area.name: content for content in files}
-        self.next_files: dict[str, AreaFile] = {}  # which lie beside them
+        self.next_files: dict[str, AreaFile] = {}  # area -> the file of the next split beside its file
         self.states: dict[str, StateMessage] = {}
         self.readings: dict[str, ReadingsMessage] = {}
         self.clock_error_s = {content.area.name: content.clock_error_s for content in files}
@@ -118,9 +119,9 @@ class SimulatedBus:
         self._queue: list[tuple[float, int, str, Event | _Wake | _Call]] = []
         self._order = itertools.count()
         self._wake: dict[str, float] = {}
-        self._paused: dict[str, list[Event]] = {}  # what has arrived meanwhile
+        self._paused: dict[str, list[Event]] = {}  # paused area -> events that have arrived meanwhile
         self._incarnations: Counter[str] = Counter()
-        self._telemetry: dict[str, TelemetryMessage] = {}  # what the plant repeats
+        self._telemetry: dict[str, TelemetryMessage] = {}  # area -> its newest readings, which the plant repeats
         self.router_runs = True
         for name in self.files:
             self.start(name)
@@ -129,7 +130,7 @@ class SimulatedBus:
         self.at(self._heartbeat_s, self._repeat_telemetry)
 
     def offer(self, name: str, content: AreaFile | None) -> None:
-        """Lay the file of the next split beside that of an area; None: take it away."""
+        """Puts the file of the next split beside that of an area; None removes it."""
         if content is None:
             self.next_files.pop(name, None)
         else:
@@ -137,13 +138,13 @@ class SimulatedBus:
         self.post(name, Offered(content), delay_s=0.0)
 
     def start(self, name: str) -> None:
-        """Start or restart an area, as a new process would; the plant serves it at once."""
+        """Starts an area as a new process with a new incarnation. The plant sends it its readings at once."""
         self._rest_on_file(name)
         if name in self.next_files:
             self.post(name, Offered(self.next_files[name]), delay_s=0.0)
 
     def _go_over(self, name: str, content: AreaFile) -> None:
-        """Let the process of an area rest on ``content``, its next file, which takes the place of the one before."""
+        """Switches the process of an area to ``content``, its next file, which replaces the file before."""
         self.files[name] = content
         self.next_files.pop(name, None)
         self._rest_on_file(name)
@@ -167,7 +168,7 @@ class SimulatedBus:
         self.send_telemetry(name)
 
     def kill(self, name: str) -> None:
-        """End an area without notice; its presence token vanishes, and what its links have held back is lost."""
+        """Ends an area without notice. Its presence token vanishes, and messages delayed by its links are lost."""
         if name not in self.protocols:
             return
         del self.protocols[name], self.links[name]
@@ -178,28 +179,28 @@ class SimulatedBus:
             self.post(n.area, PresenceChanged(name, alive=False))
 
     def pause(self, name: str) -> None:
-        """Stop an area as SIGSTOP does: it does nothing, and what arrives waits for it."""
+        """Pauses an area, as SIGSTOP does. Events that arrive meanwhile wait."""
         self._paused.setdefault(name, [])
 
     def resume(self, name: str) -> None:
-        """Let a paused area go on with all that has arrived."""
+        """Lets a paused area continue, with all events that have arrived meanwhile."""
         for event in self._paused.pop(name, []):
             self._push(self.now, name, event)
         self._push(self.now, name, WAKE)
         self._wake[name] = self.now
 
     def set_clock(self, name: str, error_s: float) -> None:
-        """Set the clock of an area, which then is ``error_s`` ahead."""
+        """Sets the clock of an area ``error_s`` ahead."""
         self.clock_error_s[name] = error_s
         self.post(name, ClockSet(STARTED_AT + error_s), delay_s=0.0)
 
     def stop_router(self) -> None:
-        """Let nothing pass at all; everybody misses everybody's presence."""
+        """Stops all messages. For every area, the presence tokens of its neighbours vanish."""
         self.router_runs = False
         self._show_all(alive=False)
 
     def start_router(self) -> None:
-        """Let everything pass again."""
+        """Lets messages pass again. The presence tokens of all living areas appear to their neighbours."""
         self.router_runs = True
         self._show_all(alive=True)
 
@@ -209,9 +210,9 @@ class SimulatedBus:
         late_s: Mapping[str, float] | None = None,
         measured_at: Mapping[str, float] | None = None,
     ) -> None:
-        """Have the plant make a new scan; ``late_s``: area -> how much later its readings are there.
+        """Has the plant make a new scan. ``late_s``: area -> delay of its readings, s.
 
-        ``measured_at``: meter id -> when it was read, virtual time, if not now.
+        ``measured_at``: meter id -> virtual time of its reading, if it is not now.
         """
         self.scan += 1
         for name, content in self.files.items():
@@ -227,7 +228,7 @@ class SimulatedBus:
                 self._take_over(name, message)
 
     def publish_readings(self, message: TelemetryMessage) -> None:
-        """A gateway beside the plant publishes ``message`` for its area."""
+        """Publishes ``message`` for its area, as a gateway beside the plant."""
         if self.router_runs:
             try:
                 self.post(message.area, Received(_pass(message), ""))
@@ -235,27 +236,27 @@ class SimulatedBus:
                 self._reject(message.area, message.header.sender, error)
 
     def send_telemetry(self, name: str) -> None:
-        """Send one area its newest readings, as the plant does when it appears."""
+        """Sends an area its newest readings, as the plant does when the area appears."""
         if name in self._telemetry and self.plant_publishes and self.router_runs:
             self.post(name, Received(self._telemetry[name], ""))
 
     def post(self, receiver: str, event: Event, delay_s: float = TRAVEL_S) -> None:
-        """Have ``event`` happen to ``receiver`` after ``delay_s``."""
+        """Delivers ``event`` to ``receiver`` after ``delay_s``."""
         self._push(self.now + delay_s, receiver, event)
 
     def at(self, time: float, function: Callable[[], None]) -> None:
-        """Call ``function`` at ``time``, before anything else that happens then."""
+        """Calls ``function`` at virtual time ``time``, before any area acts at that time."""
         self._push(time, "", _Call(function))
 
     def run(self, duration_s: float) -> None:
-        """Let ``duration_s`` of virtual time pass."""
+        """Lets ``duration_s`` of virtual time pass."""
         end = self.now + duration_s
         while self._queue and self._queue[0][0] < end:
             self._step()
         self.now = end
 
     def deliver(self, sender: str, receiver: str, payload: bytes) -> None:
-        """Let a payload that no link has lost travel to its receiver."""
+        """Sends a payload that its link has passed on to its receiver, which rejects it if it cannot be read."""
         try:
             message = decode(payload, MAX_NEIGHBOUR_BYTES)
             self.post(receiver, Received(message, sender))
@@ -269,7 +270,7 @@ class SimulatedBus:
         self.post(receiver, Rejected(error.reason, count, sender if error.at_field else "", error.at_field))
 
     def _take_over(self, name: str, message: TelemetryMessage) -> None:
-        """The plant has new readings of an area."""
+        """Takes new readings of an area into the plant, and sends them, unless the plant has newer ones."""
         try:
             message = _pass(message)
         except MessageError as error:
@@ -292,7 +293,7 @@ class SimulatedBus:
                     self.post(name, PresenceChanged(n.area, alive))
 
     def _step(self) -> None:
-        """Go to the next moment at which anything happens; who is concerned acts in the order of names."""
+        """Goes to the time of the next events. The areas concerned act in the order of their names."""
         self.now = self._queue[0][0]
         events: dict[str, list[Event]] = {}
         while self._queue and self._queue[0][0] <= self.now:
@@ -335,7 +336,7 @@ class SimulatedBus:
             self._push(at, name, WAKE)
 
     def _show(self, message: Message) -> None:
-        """Show who watches what an area publishes."""
+        """Passes a message that an area publishes to the watchers, if a router runs."""
         if not self.router_runs:
             return
         try:
@@ -351,7 +352,7 @@ class SimulatedBus:
             self._on_readings(self.now, message)
 
     def _put(self, sender: str, receiver: str | None, payload: bytes) -> None:
-        """What a link hands to the bus for a neighbour."""
+        """Puts a payload from a link on the bus for a neighbour; drops it if no router runs."""
         if receiver is not None and self.router_runs:
             self.deliver(sender, receiver, payload)
 

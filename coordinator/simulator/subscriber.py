@@ -1,4 +1,4 @@
-"""Who receives the events of a simulation: every message, state and presence; a subscriber changes nothing."""
+"""Interface of subscribers to a simulation: they receive every message, state and presence, and change nothing."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from agents.messages.packing import Message, ReadingsMessage, StateMessage
 
 
 class Subscriber:
-    """Receives every event of the simulated bus, in order; this one ignores them."""
+    """Receives every event of the simulated bus, in order. This base class ignores them."""
 
     def begin(self, run: str, files: Sequence[AreaFile]) -> None:
-        """Before anything else: the name of the run, and what its areas are given."""
+        """Takes the name of the run and its area files, before all events."""
 
     def take_state(self, at: float, state: StateMessage) -> None:
-        """An area has published ``state``."""
+        """Takes a state that an area has published at ``at``."""
 
     def take_readings(self, at: float, readings: ReadingsMessage) -> None:
-        """An area has published the readings that it has used."""
+        """Takes the readings that an area has used, published at ``at``."""
 
     def take_presence(self, at: float, area: str, alive: bool) -> None:
-        """An area has appeared or vanished."""
+        """Takes the appearance or the end of an area's presence token."""
 
     def take_message(self, at: float, receiver: str, message: Message, arrives: bool) -> None:
-        """A message to a neighbour has been sent, or ``arrives``."""
+        """Takes a message to a neighbour: once when it is sent, and again when it ``arrives``."""

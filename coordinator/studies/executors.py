@@ -1,4 +1,4 @@
-"""Executors of studies: where runs are computed, on this machine or others, in units that a scheduler can carry."""
+"""Executors of studies: they compute runs on this machine or others, in units of a size fit for a scheduler."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from dsse_core.errors import DsseError, InvalidInputError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-RUNS_OF_UNIT = 20  # a unit takes seconds: a scheduler has few to carry, and a killed worker loses few runs
+RUNS_OF_UNIT = 20  # a unit takes seconds: a scheduler has few units, and a killed worker loses few runs
 DASK = "dask://"
 CONNECT_S = 10.0
 
 
 class WorkerError(DsseError):
-    """A worker process ended before its run did."""
+    """A worker ended before its run, or has other versions of packages than this process."""
 
 
 def run_units(
@@ -26,10 +26,10 @@ def run_units(
     items: Sequence[Item],
     size: int = RUNS_OF_UNIT,
 ) -> Generator[Result, None, None]:
-    """Results of ``function``, called with ``size`` items at a time, unit by unit as they end.
+    """Results of ``function``, called with units of ``size`` items; unit by unit in the order in which they end.
 
     Raises:
-        WorkerError: a worker ended before its unit did, and the executor does not give the unit to another one.
+        WorkerError: a worker ended before its unit, and the executor does not give the unit to another worker.
     """
     units = [items[first : first + size] for first in range(0, len(items), size)]
     futures = [executor.submit(function, unit) for unit in units]
@@ -49,7 +49,7 @@ def run_units(
 
 @contextlib.contextmanager
 def open_executor(address: str) -> Iterator[Executor]:
-    """The executor at ``address``, ``dask://HOST:PORT`` of a scheduler.
+    """Opens the executor at ``address``, ``dask://HOST:PORT`` of a scheduler, for the block.
 
     Raises:
         InvalidInputError: ``address`` has another form, dask is not installed, or no scheduler answers.

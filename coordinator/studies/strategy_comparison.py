@@ -28,7 +28,7 @@ from dsse_core.files.wording import describe_unknown
 from dsse_core.printable import printable
 from scenarios.scenario import Scenario
 
-UNKEPT = "dsse-compare-"  # how folders begin whose runs nobody asked to keep
+UNKEPT = "dsse-compare-"  # of the names of temporary folders, for runs that are not kept
 HEADER = (
     *("strategy", "outcome", "gap p.u.", "gap deg", "exchanges", "messages", "bytes", "lost"),
     *("s to 1e-3", "s to 1e-6", "s to 1e-8"),
@@ -36,10 +36,10 @@ HEADER = (
 
 
 def choose_strategies(names: str | None) -> tuple[str, ...]:
-    """The strategies in ``names``, separated by commas; all there are if it is None.
+    """The strategies in ``names``, separated by commas; all installed ones if it is None.
 
     Raises:
-        InvalidInputError: one is unknown or given twice.
+        InvalidInputError: a strategy is unknown or given twice.
     """
     known = list_strategies()
     if names is None:
@@ -60,9 +60,9 @@ def compare_strategies(
     run: Callable[[Scenario, Path], RunOutcome],
     out: Path | None = None,
 ) -> tuple[StudyRow, ...]:
-    """One row per strategy, each from one ``run(scenario, folder)``.
+    """A row per strategy, each from one ``run(scenario, folder)``.
 
-    ``out``: new or empty folder for the run folders and the table; without it nothing is kept.
+    ``out``: new or empty folder for the run folders and the table; without it no file is kept.
 
     Raises:
         InvalidInputError: ``out`` cannot be used, or no strategy can be run, with the reasons.
@@ -79,12 +79,12 @@ def compare_strategies(
 
 
 def format_comparison(rows: Sequence[StudyRow]) -> str:
-    """The table as the terminal shows it, and why strategies did not end in consensus."""
+    """The table of a comparison for the terminal, and the reasons of strategies that did not end in consensus."""
     return "\n".join([format_table(HEADER, [list_cells(row) for row in rows]), *_separate(rows)])
 
 
 def format_markdown(rows: Sequence[StudyRow]) -> str:
-    """The same as a Markdown table."""
+    """The table of a comparison in Markdown, and the reasons of strategies that did not end in consensus."""
     lines = [HEADER, ("---", "---", *["---:"] * (len(HEADER) - 2)), *map(list_cells, rows)]
     return "\n".join(["| " + " | ".join(cells) + " |" for cells in lines] + _separate(rows))
 
@@ -108,7 +108,7 @@ def _write(folder: Path, scenario: Scenario, rows: Sequence[StudyRow]) -> None:
 
 
 def list_cells(row: StudyRow) -> tuple[str, ...]:
-    """A row of ``HEADER``."""
+    """The cells of ``row`` in the columns of ``HEADER``."""
     counts = (row.exchanges, row.messages, row.bytes, row.lost)
     times = (row.below_1e3_s, row.below_1e6_s, row.below_1e8_s)
     return (
@@ -120,7 +120,7 @@ def list_cells(row: StudyRow) -> tuple[str, ...]:
 
 
 def list_reasons(rows: Sequence[StudyRow]) -> list[str]:
-    """Why strategies did not end in consensus."""
+    """Lines with the reasons of strategies that did not end in consensus."""
     return [f"{row.strategy}: {row.outcome}: {printable(row.reason)}" for row in rows if row.reason]
 
 

@@ -18,7 +18,7 @@ from coordinator.studies.sweep_plan import SweepPlan, Task
 from coordinator.studies.sweep_plot import draw_sweep, place_of_value
 from scenarios.scenario import Scenario
 
-SHOWN = tuple(name for name in COLUMNS if name not in ORIGIN)  # the others are the last ones
+SHOWN = tuple(name for name in COLUMNS if name not in ORIGIN)  # the columns of ORIGIN are the last ones
 PER_RUN = ("strategy", "seed")  # settings that the runs of a study differ in
 
 
@@ -30,10 +30,10 @@ def report_comparison(
     formats: Sequence[str],
     arguments: Sequence[str],
 ) -> None:
-    """Write figure and report of a comparison of strategies; ``arguments``: of the command ``dsse``.
+    """Writes figure and report of a comparison of strategies. ``arguments``: of the command ``dsse``.
 
     Raises:
-        OSError: one of them cannot be written.
+        OSError: a file cannot be written.
     """
     with styled():
         drawing = draw_gaps_of({name: find_course(outcome) for name, outcome in outcomes.items()})
@@ -56,10 +56,10 @@ def report_comparison(
 def report_sweep(
     folder: Path, plan: SweepPlan, rows: Mapping[Task, StudyRow], formats: Sequence[str], arguments: Sequence[str]
 ) -> None:
-    """Write figure and report of a sweep as far as it has come; ``arguments``: of the command ``dsse``.
+    """Writes figure and report of the runs of a sweep done so far. ``arguments``: of the command ``dsse``.
 
     Raises:
-        OSError: one of them cannot be written.
+        OSError: a file cannot be written.
     """
     agreed = sum(row.outcome == CONSENSUS for row in rows.values())
     missing = sum(task not in rows for task in plan.tasks)
@@ -89,7 +89,7 @@ def _write(folder: Path, page: Page, formats: Sequence[str]) -> None:
 
 
 def _sum_up(key: str, rows: Mapping[Task, StudyRow]) -> PageTable:
-    """One row for each value and strategy: how many runs agree, and medians of the others' figures."""
+    """A row for each value and strategy: the number of runs that end in consensus, and medians over all its runs."""
     groups: dict[tuple[str, str], list[StudyRow]] = {}
     for task in sorted(rows, key=lambda task: (place_of_value(task.value), task.strategy)):
         groups.setdefault((task.value, task.strategy), []).append(rows[task])

@@ -1,4 +1,4 @@
-"""One run of a study in one row: how it ended, how far from the centralised estimate, at what price, how fast."""
+"""A run of a study as a row: outcome, gap to the centralised estimate, messages and bytes, times."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ LONGEST_REASON = 300
 
 @dataclass(frozen=True, slots=True)
 class StudyRow:
-    """One run. ``gap``: decentralised to centralised over all buses, None where either is incomplete.
+    """A run of a study. ``gap_*``: decentralised to centralised over all buses; None where an estimate is incomplete.
 
     ``below_*_s``: the time from which on every area stays closer than that (p.u. and rad) to the centralised
-    estimate, at all buses that it sees; None if never. ``end_s``: time of the verdict. Both are virtual on the
-    simulator. ``reason``: why there is no consensus, or why the run is not possible; then there are no figures.
+    estimate, at all buses that it sees; None if never. ``end_s``: time of the verdict. Both times are virtual on the
+    simulator. ``reason``: for which there is no consensus, or the run is not possible and has no figures.
     """
 
     strategy: str
@@ -43,7 +43,7 @@ class StudyRow:
     end_s: float | None = None
     reason: str = ""
     host: str = ""  # machine that computed the run
-    versions: str = ""  # there, see ``describe_versions``
+    versions: str = ""  # on that machine, see ``describe_versions``
     scenario_sha256: str = ""  # of the scenario that the study began with
 
     @property
@@ -61,7 +61,7 @@ COLUMNS = tuple(field.name.replace("_1e", "_1e-") for field in fields(StudyRow))
 
 @cache
 def describe_versions() -> str:
-    """Python and the packages that the digits of a row depend on, with their versions, as one text."""
+    """Versions of Python and of the packages that the digits of a row depend on, as one text."""
     found = {name: version_of(name) for name in PACKAGES}
     listed = [f"{name} {version}" for name, version in found.items() if version is not None]
     return "; ".join([f"Python {platform.python_version()}", *listed])
@@ -104,10 +104,10 @@ def make_impossible_row(scenario: Scenario, error: Exception) -> StudyRow:
 
 
 def check_one_is_possible(scenario: Scenario, rows: Sequence[StudyRow]) -> None:
-    """Check that of ``rows``, one of each strategy, one at least was run.
+    """Checks that at least one of ``rows``, one of each strategy, is that of a run.
 
     Raises:
-        InvalidInputError: none was, with the reasons.
+        InvalidInputError: no strategy could be run, with the reasons.
     """
     if all(row.outcome == NOT_POSSIBLE for row in rows):
         problems = [f"strategy {row.strategy}: {row.reason}" for row in rows]
@@ -115,16 +115,16 @@ def check_one_is_possible(scenario: Scenario, rows: Sequence[StudyRow]) -> None:
 
 
 def to_cells(row: StudyRow) -> list[str]:
-    """The row as text, in the order of ``COLUMNS``, exact; empty where there is nothing."""
+    """The row as text, in the order of ``COLUMNS``, exact; empty for None."""
     values = [getattr(row, field.name) for field in fields(row)]
     return ["" if value is None else str(value) for value in values]
 
 
 def from_cells(cells: list[str]) -> StudyRow:
-    """The row that ``to_cells`` has written.
+    """The row whose cells ``to_cells`` has written.
 
     Raises:
-        ValueError: it has not.
+        ValueError: the cells are not those of a row.
     """
     if len(cells) != len(COLUMNS):
         raise ValueError(f"{len(cells)} cells, not {len(COLUMNS)}")

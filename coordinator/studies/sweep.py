@@ -34,7 +34,8 @@ _plan: SweepPlan  # of a worker process
 def run_tasks(
     plan: SweepPlan, tasks: Sequence[Task], jobs: int, executor: Executor | None = None, size: int = RUNS_OF_UNIT
 ) -> Iterator[tuple[Task, StudyRow]]:
-    """Run ``tasks`` in ``jobs`` processes, or by ``executor``, ``size`` in a unit; each with its row, as they end.
+    """Runs ``tasks`` in ``jobs`` processes, or by ``executor`` in units of ``size``. Yields each task with its row, in
+    the order in which they end.
 
     Raises:
         WorkerError: a worker was killed, or has other versions than this process.
@@ -43,7 +44,7 @@ def run_tasks(
     if executor is None:
         found = _run_here(plan, tasks, jobs)
     else:
-        ordered = sorted(tasks, key=lambda task: task.value)  # a unit carries few networks
+        ordered = sorted(tasks, key=lambda task: task.value)  # so that a unit has few networks
         found = run_scenarios(executor, [(task, plan.scenario_of(task)) for task in ordered], size)
     with contextlib.closing(found):
         for task, row in found:
@@ -53,10 +54,10 @@ def run_tasks(
 def run_scenarios(
     executor: Executor, runs: Sequence[tuple[Task, Scenario]], size: int
 ) -> Generator[tuple[Task, StudyRow], None, None]:
-    """Run scenarios by ``executor``, ``size`` in a unit; each with its row, unit by unit as they end.
+    """Runs scenarios by ``executor`` in units of ``size``. Yields each task with its row, unit by unit as they end.
 
     Raises:
-        WorkerError: as of ``run_tasks``.
+        WorkerError: a worker was killed, or has other versions than this process.
     """
     with contextlib.closing(run_units(executor, run_unit, runs, size)) as found:
         for task, row in found:
@@ -71,11 +72,11 @@ def run_scenarios(
 def compare_side_by_side(
     scenario: Scenario, strategies: Sequence[str], executor: Executor | None = None
 ) -> tuple[StudyRow, ...]:
-    """One row per strategy, run side by side in processes of this machine, or by ``executor``.
+    """A row per strategy, run side by side in processes of this machine, or by ``executor``.
 
     Raises:
         InvalidInputError: no strategy can be run, with the reasons.
-        WorkerError: as of ``run_tasks``.
+        WorkerError: a worker was killed, or has other versions than this process.
     """
     plan = SweepPlan("", scenario, {"": scenario}, tuple(strategies), 1, {})
     jobs = operating_system.count_processors()
@@ -86,7 +87,7 @@ def compare_side_by_side(
 
 
 def run_unit(runs: Sequence[tuple[Task, Scenario]]) -> list[tuple[Task, StudyRow]]:
-    """Rows of one unit of work. They depend on the scenarios only, but for host and versions."""
+    """Rows of one unit of work. Apart from host and versions, they depend on the scenarios only."""
     return [(task, run_on_simulator(scenario)) for task, scenario in runs]
 
 
@@ -100,7 +101,7 @@ def _run_here(plan: SweepPlan, tasks: Sequence[Task], jobs: int) -> Generator[tu
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(jobs, context, initializer=_start_worker, initargs=(plan,))
     try:
-        with _signals_held_back():  # inherited: workers leave them to us from their first moment on
+        with _signals_held_back():  # workers inherit the mask, and leave signals to this process from their start on
             tasks_of = {pool.submit(_run_task, task): task for task in tasks}
         for future in as_completed(tasks_of):
             yield tasks_of[future], future.result()
@@ -110,21 +111,23 @@ def _run_here(plan: SweepPlan, tasks: Sequence[Task], jobs: int) -> Generator[tu
         with _signals_held_back():
             pool.shutdown(wait=False, cancel_futures=True)
             for worker in set(multiprocessing.active_children()) - others:
-                worker.kill()  # which hears no signal, and has nothing to tidy up
+                worker.kill()  # a worker ignores other signals, and has nothing to clean up
         raise
     pool.shutdown()
 
 
 @contextlib.contextmanager
 def _signals_held_back() -> Iterator[None]:
-    """Let those that end us wait: a worker that has received only half of its task would show a traceback.
+    """Delays the signals ``ENDS`` until the end of the block: a worker that has received half of its task would print a
+    traceback.
 
-    Workers inherit the mask. It does not keep a signal from another thread of ours, so that the handlers wait, too.
+    Workers inherit the mask. The mask does not keep a signal from other threads of this process, so the handlers are
+    delayed, too.
     """
     came: list[int] = []
     with operating_system.blocked(ENDS):
         handlers = {number: signal.getsignal(number) for number in ENDS}
-        is_main = threading.current_thread() is threading.main_thread()  # no other may set handlers
+        is_main = threading.current_thread() is threading.main_thread()  # no other thread may set handlers
         waiting = [number for number, handler in handlers.items() if is_main and callable(handler)]
         for number in waiting:
             signal.signal(number, lambda number, _: came.append(number))
@@ -138,7 +141,7 @@ def _signals_held_back() -> Iterator[None]:
 
 
 def run_on_simulator(scenario: Scenario) -> StudyRow:
-    """The row of one run; one that is not possible has a row that says why."""
+    """The row of a run on the simulator, or the row of an impossible run with the reason."""
     try:
         check_with_strategy(scenario)
         simulation = Simulation(scenario)
@@ -152,7 +155,7 @@ def _run_task(task: Task) -> StudyRow:
 
 
 def _start_worker(plan: SweepPlan) -> None:
-    """Leave signals to the parent, for good, and end with it, however it ends."""
+    """Initialises a worker: it ignores signals, which the parent handles, and ends when the parent ends."""
     global _plan
     _plan = plan
     for number in ENDS:

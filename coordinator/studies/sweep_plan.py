@@ -1,4 +1,4 @@
-"""What a sweep runs: the values of one key of a scenario, and for each of them strategies and seeds."""
+"""The plan of a sweep: the values of one key of a scenario, and for each value strategies and seeds."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ OPTION_OF_KEY = {"seed": "--seeds", "strategy": "--strategies"}
 
 @dataclass(frozen=True)
 class Task:
-    """One run: ``value`` as the table writes it, and what is to be run."""
+    """A run of a sweep. ``value``: of the varied key, as the table writes it."""
 
     value: str
     strategy: str
@@ -35,7 +35,10 @@ class Task:
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """``scenarios``: value as the table writes it -> the scenario with that value of ``key``."""
+    """The plan of a sweep.
+
+    ``scenarios``: value as the table writes it -> the scenario with that value of ``key``. ``seeds``: their number.
+    """
 
     key: str
     base: Scenario
@@ -46,7 +49,7 @@ class SweepPlan:
 
     @property
     def tasks(self) -> list[Task]:
-        """All runs; the seeds count up from the scenario's, the values vary fastest."""
+        """All runs. The seeds count up from that of the scenario; the values vary fastest."""
         seeds = range(self.base.seed, self.base.seed + self.seeds)
         return [Task(value, name, seed) for seed in seeds for name in self.strategies for value in self.scenarios]
 
@@ -55,7 +58,7 @@ class SweepPlan:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What all rows of one table have in common; values, strategies and seeds may become more."""
+        """Settings common to all rows of one table. Values, strategies and seeds may be added later."""
         return {
             "scenario": self.base.name,
             "links": dict(self.links),
@@ -66,13 +69,13 @@ class SweepPlan:
 
 
 def hash_scenario(scenario: Scenario) -> str:
-    """SHA-256 of all that ``scenario`` holds, network included, wherever its file lies."""
+    """SHA-256 of the content of ``scenario``, its network included; the path of its file does not matter."""
     content = repr([_content(getattr(scenario, f.name)) for f in fields(scenario) if f.name != "path"])
     return hashlib.sha256(content.encode()).hexdigest()
 
 
 def _content(value: object) -> object:
-    """``value`` with all that it holds, of which its own repr may be shorter; not what is derived from it later."""
+    """``value`` with its whole content, which its own repr may shorten; fields derived from others are left out."""
     if is_dataclass(value):
         return [(f.name, _content(getattr(value, f.name))) for f in fields(value) if f.init]
     if isinstance(value, Mapping):
@@ -92,10 +95,11 @@ def make_plan(
     timeout_s: float | None = None,
     changes: Mapping[str, object] = NO_SETTINGS,
 ) -> SweepPlan:
-    """Read the scenario once for each of ``values`` of ``key``; ``changes``: key -> value in all runs.
+    """Reads the scenario once for each of ``values`` of ``key``. ``changes``: key -> value in all runs.
 
     Raises:
-        InvalidInputError: the scenario cannot be used; every value that it rejects, and why; a value given twice.
+        InvalidInputError: the scenario cannot be used, ``key`` has an option of its own or is also in ``changes``, a
+            value is given twice, or the scenario rejects values; then it names them all, with the reasons.
     """
     if key in OPTION_OF_KEY:
         raise _vary_error(f"{key} is varied by {OPTION_OF_KEY[key]}; choose another key")
@@ -121,7 +125,7 @@ def parse_vary(vary: str) -> tuple[str, list[object]]:
     """The key and the values of ``KEY=START:STOP:N`` or ``KEY=VALUE,VALUE,...``, values as TOML writes them.
 
     Raises:
-        InvalidInputError: it is neither.
+        InvalidInputError: ``vary`` has neither form.
     """
     key, equals, text = (part.strip() for part in vary.partition("="))
     if not (key and equals and text):

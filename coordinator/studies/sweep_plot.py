@@ -16,12 +16,12 @@ from coordinator.studies.sweep_plan import Task
 from dsse_core.files.bounded_parsing import parse_toml
 
 SPREAD = (10, 90)  # percentiles between which the band lies
-SMALLEST = 1e-16  # what a logarithmic axis shows for 0
+SMALLEST = 1e-16  # in the place of 0 on a logarithmic axis
 MAX_LABELS = 12
 
 
 def draw_sweep(key: str, rows: Mapping[Task, StudyRow]) -> Drawing:
-    """Draw ``rows``: above, the final gap to the centralised estimate; below, the time until it stays under 1e-6."""
+    """Draws ``rows``: above, the final gap to the centralised estimate; below, the time until it stays under 1e-6."""
     with styled():
         return _draw_sweep(key, rows)
 
@@ -43,7 +43,7 @@ def _draw_sweep(key: str, rows: Mapping[Task, StudyRow]) -> Drawing:
     below.set_ylabel("virtual time until the gap\nstays below 1e-6 (s)")
     below.set_xlabel(plot_text(key))
     for axis in (above, below):
-        if any(np.isfinite(line.get_ydata()).any() for line in axis.lines):  # else there is nothing to scale
+        if any(np.isfinite(line.get_ydata()).any() for line in axis.lines):  # a logarithmic scale needs a value
             axis.set_yscale("log")
             low, high = axis.get_ylim()
             axis.set_ylim(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)))
@@ -69,7 +69,7 @@ def _draw(
     name: str,
     number: int,
 ) -> None:
-    """One line with its band; runs that have no such figure count as infinitely large, and the legend counts them."""
+    """Draws a line with its band. Runs without the figure count as infinitely large; the legend gives their number."""
     lines = np.full((3, len(x)), np.nan)
     without = 0
     for column, rows in enumerate(rows_of_value):
@@ -92,7 +92,7 @@ def _draw(
 
 
 def _name_outcomes(strategy: str, rows_of_value: Sequence[Sequence[StudyRow]]) -> str:
-    """``strategy``, and how many of its runs the time limit has cut short: their gap is not final."""
+    """``strategy`` with the number of its runs without consensus, whose gap is not final."""
     outcomes = [row.outcome for rows in rows_of_value for row in rows]
     cut = outcomes.count(NO_CONSENSUS)
     return f"{strategy} (no consensus in {cut} of {len(outcomes)} runs)" if cut else strategy
@@ -107,6 +107,6 @@ def _number(value: str) -> float | None:
 
 
 def place_of_value(value: str) -> tuple[bool, float, str]:
-    """Numbers in their order, then words."""
+    """Key for sorting values: numbers in their order, then words."""
     number = _number(value)
     return (number is None, number or 0.0, value)

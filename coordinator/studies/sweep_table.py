@@ -1,6 +1,6 @@
-"""The table of a sweep, ``sweep.csv``: one row per run, written as it comes, and taken up again where it ended.
+"""The table of a sweep, ``sweep.csv``: a row per run, written when the run ends. A later sweep continues the table.
 
-``sweep.json`` beside it says what all rows have in common, so that rows of different settings never mix.
+``sweep.json`` beside it holds the settings common to all rows, so that rows of different settings never mix.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ANOTHER = "choose another --out, or repeat the sweep as it was"
 
 
 class SweepTable:
-    """The rows of a sweep so far, task -> row, and the file that they stand in.
+    """The rows of a sweep so far, task -> row, and their file.
 
     Args:
         folder: new, empty, or that of an earlier sweep with the same ``settings``.
@@ -39,7 +39,7 @@ class SweepTable:
     def __init__(self, folder: Path, settings: dict[str, Any]) -> None:
         self.path = folder / TABLE
         self.rows: dict[Task, StudyRow] = {}
-        self.cut_off = False  # whether the last line was half written; that run is done again
+        self.cut_off = False  # True where the last line was incomplete; its run is repeated
         self._origin = (describe_versions(), str(settings["scenario_sha256"]))
         self._header = [str(settings["vary"]), *COLUMNS]
         try:
@@ -69,7 +69,7 @@ class SweepTable:
         self._lines.close()
 
     def add(self, task: Task, row: StudyRow) -> None:
-        """Write the row of a run that has ended."""
+        """Adds the row of a run that has ended, and writes it to the file."""
         self.rows[task] = row
         self._write([task.value, *to_cells(row)])
 
@@ -113,7 +113,11 @@ class SweepTable:
 
 
 def _check_regular(path: Path) -> None:
-    """That the rows of an earlier sweep can be read to an end."""
+    """Checks that ``path`` is a regular file, which can be read to its end.
+
+    Raises:
+        InvalidInputError: it is not.
+    """
     try:
         open_regular(path).close()
     except OSError as error:
@@ -121,7 +125,11 @@ def _check_regular(path: Path) -> None:
 
 
 def _check_settings(folder: Path, settings: dict[str, Any]) -> None:
-    """Compare ``settings`` with those of an earlier sweep in ``folder``; write them down if there was none."""
+    """Compares ``settings`` with those of an earlier sweep in ``folder``; writes them if there was none.
+
+    Raises:
+        InvalidInputError: the settings differ, or the folder holds something else.
+    """
     path = folder / SETTINGS
     if not path.exists():
         if any(folder.iterdir()):

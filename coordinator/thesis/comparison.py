@@ -1,4 +1,4 @@
-"""``dsse thesis``: the tables of the thesis beside ours, as text and as one table of all rows."""
+"""``dsse thesis``: the tables of the thesis beside results of this program, as text and as one table of all rows."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ COLUMN_PLACE = {"vm_pu": "magnitude", "va_deg": "angle"}
 
 @dataclass(frozen=True)
 class ComparedTable:
-    """``printed`` beside ours: ``buses`` of the grid, ``vm_pu`` and ``va_deg`` of shape (n_rows,), in its order."""
+    """A printed table beside its counterpart, in the order of its rows.
+
+    ``buses``: of the grid. ``vm_pu``, ``va_deg``: of the counterpart, shape (n_rows,).
+    """
 
     printed: PrintedTable
     counterpart: Counterpart
@@ -30,21 +33,21 @@ class ComparedTable:
     va_deg: np.ndarray
 
     def differences(self, column: str) -> np.ndarray:
-        """Ours less the printed ``vm_pu`` or ``va_deg``, shape (n_rows,)."""
+        """Counterpart less the printed ``vm_pu`` or ``va_deg``, shape (n_rows,)."""
         return np.asarray(getattr(self, column) - np.array(getattr(self.printed, column)))
 
     def find_largest(self, column: str) -> float:
-        """The largest size of a difference, misprints left out."""
+        """The largest absolute difference of ``column``, misprints left out."""
         wrong = {m.bus for m in self.printed.misprints if m.column == column}
         sizes = abs(self.differences(column))
         return float(max(size for bus, size in zip(self.printed.buses, sizes, strict=True) if bus not in wrong))
 
 
 def compare_tables(numbers: Collection[str] = ()) -> list[ComparedTable]:
-    """The tables with these ``numbers``, all if there are none, in the order of the thesis.
+    """The tables with these ``numbers`` and their counterparts, in the order of the thesis; all tables without numbers.
 
     Raises:
-        InvalidInputError: a number is none of a table of states.
+        InvalidInputError: a number is not that of a table of states.
     """
     if unknown := [name for name in numbers if name not in COUNTERPARTS]:
         raise InvalidInputError("--table", [describe_unknown("table", name, tuple(COUNTERPARTS)) for name in unknown])
@@ -88,7 +91,7 @@ def as_one_table(compared: Sequence[ComparedTable]) -> Table:
 
 
 def format_compared(table: ComparedTable) -> str:
-    """One table beside ours, its misprints marked by a star and explained."""
+    """A printed table beside its counterpart as text, its misprints marked by a star and explained."""
     printed = table.printed
     wrong = {m.bus for m in printed.misprints}
     rows = [

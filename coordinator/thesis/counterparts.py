@@ -31,7 +31,7 @@ class What(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Counterpart:
-    """``what`` of ``area`` (empty: the whole grid) in a run of ``scenario``."""
+    """The counterpart of a table: ``what`` of ``area`` (empty: the whole grid) in a run of ``scenario``."""
 
     scenario: str
     what: What

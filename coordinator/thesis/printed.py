@@ -13,7 +13,10 @@ CASES = ("industrial13", "ieee33")
 
 @dataclass(frozen=True, slots=True)
 class Misprint:
-    """A number that cannot be meant: ``column`` (vm_pu or va_deg) of printed ``bus``; ``meant``: None if not known."""
+    """A printed number that must be wrong, in ``column`` (vm_pu or va_deg) of printed ``bus``.
+
+    ``meant``: the intended number; None if not known.
+    """
 
     table: str
     bus: int
@@ -25,7 +28,7 @@ class Misprint:
 
 @dataclass(frozen=True, slots=True)
 class PrintedTable:
-    """One table: ``buses`` as printed, ``vm_pu``, ``va_deg``; ``misprints`` in it."""
+    """A printed table of states: ``buses`` as printed, ``vm_pu``, ``va_deg``, and its ``misprints``."""
 
     number: str
     case: str
@@ -38,7 +41,10 @@ class PrintedTable:
 
 @dataclass(frozen=True, slots=True)
 class PrintedCase:
-    """``local_order``: area -> its buses in the order in which the thesis numbers them from 1."""
+    """The printed tables of a case, by number.
+
+    ``local_order``: area -> its buses in the order in which the thesis numbers them from 1.
+    """
 
     tables: Mapping[str, PrintedTable]
     local_order: Mapping[str, Sequence[int]]

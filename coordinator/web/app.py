@@ -1,4 +1,4 @@
-"""The page and its API: nothing can be changed through it."""
+"""The page and its API, which is read-only."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from coordinator.web.sources import Source
 from coordinator.web.stream import Stream
 
 STATIC = Path(__file__).parent / "static"
-LONGEST_NAME = 200  # of what a history is asked for
+LONGEST_NAME = 200  # characters of an id in a request
 KINDS_OF_ROWS = ("bus", "branch", "meter")
 WHICH_ROWS = ("first", "count", "frame")
-MOST_DIGITS = 9  # of a number that is asked for
+MOST_DIGITS = 9  # of a number in a request
 
 Endpoint = Callable[[Request], Awaitable[Response]]
 
 
 def make_app(source: Source, front: Front, token: str | None = None) -> Guard:
-    """The application that shows ``source`` to requests that ``front`` lets in, with ``token`` if there is one."""
+    """The application that serves ``source`` to requests that ``front`` accepts, with ``token`` if it is given."""
     serve = _Endpoints(source)
     endpoints: dict[str, Endpoint] = {
         "/": serve.page,
@@ -48,12 +48,12 @@ def make_app(source: Source, front: Front, token: str | None = None) -> Guard:
     }
     routes: list[Any] = [Route(path, endpoint) for path, endpoint in endpoints.items()]
     routes += [Route("/api/stream", Stream(source)), Mount("/static", StaticFiles(directory=STATIC))]
-    return Guard(Starlette(routes=routes), front, token)  # around all, so that it guards answers to defects, too
+    return Guard(Starlette(routes=routes), front, token)  # outermost: also guards answers to internal errors
 
 
 @dataclass(frozen=True)
 class _Endpoints:
-    """What the server answers, of ``source``."""
+    """The endpoints of the server, with answers from ``source``."""
 
     source: Source
 
@@ -92,7 +92,7 @@ class _Endpoints:
         return _json(await asyncio.to_thread(select))
 
     async def frames(self, request: Request) -> Response:
-        is_complete, times = self.source.is_complete, self.source.times()  # in this order: nothing grows after the end
+        is_complete, times = self.source.is_complete, self.source.times()  # in this order: no frames after the end
         since, remarks = self.source.since, self.source.remarks
         return _json({"times": times, "since": since, "remarks": remarks, "complete": is_complete})
 
@@ -110,7 +110,7 @@ class _Endpoints:
 
 
 def _read_number(text: str) -> int:
-    """Its first MOST_DIGITS digits, more than there is of anything; -1 if it is no number."""
+    """The number of the first MOST_DIGITS digits of ``text``, which exceed every count; -1 if it is no number."""
     return int(text[:MOST_DIGITS]) if text.isascii() and text.isdigit() else -1
 
 

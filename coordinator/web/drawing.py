@@ -1,4 +1,4 @@
-"""What of a grid does not change while one looks: places of buses, branches, areas, meters; the API's ``/api/grid``."""
+"""The drawing of a grid, its constant part: places of buses, branches, areas, limits; the API's ``/api/grid``."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from coordinator.figures.feeder_profile import OPERATION, find_distances, find_l
 from dsse_core.grid.columns import read_given
 from scenarios.scenario import Scenario
 
-BUSES_IN_A_ROW = 8  # of an area of which only the bus tells
+BUSES_IN_A_ROW = 8  # of an area that is known from the bus alone
 DECIMALS = 6  # of distances
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """A drawn grid as it is sent; ``version`` differs where anything in it does, and stands in every moment of it."""
+    """A drawn grid as it is sent. ``version``: differs between different drawings; every moment names its version."""
 
     version: str
     payload: bytes
 
 
 def encode_drawing(content: Mapping[str, Any], mode: str) -> Drawing:
-    """``content`` as a page of ``mode`` gets it."""
+    """The drawing of ``content`` for a page of ``mode``."""
     version = hashlib.sha256(msgspec.json.encode(content)).hexdigest()[:16]
     return Drawing(version, msgspec.json.encode({"version": version, "mode": mode, **content}))
 
@@ -79,7 +79,9 @@ def draw_scenario(scenario: Scenario) -> dict[str, Any]:
 
 
 def draw_states(run: str, states: Mapping[str, StateMessage]) -> dict[str, Any]:
-    """The same as far as the bus tells: areas side by side, their buses in rows, no branches."""
+    """The grid as far as ``states`` tell, with the keys of ``draw_scenario``: areas side by side, their buses in rows,
+    no branches.
+    """
     buses: dict[str, list[Any]] = {key: [] for key in ("id", "name", "base_kv", "x", "y", "distance", "area", "areas")}
     row_of: dict[int, int] = {}
     areas, left = [], 0

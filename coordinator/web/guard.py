@@ -1,4 +1,4 @@
-"""Who may look: every request is checked before anything is answered, and every answer says what a page may do."""
+"""Guard of the page: it checks every request before an answer, and adds security headers to every answer."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SECURITY_HEADERS = {
 
 @dataclass(frozen=True)
 class Guard:
-    """Lets in what ``front`` lets in and shows ``token`` if there is one."""
+    """Passes to ``app`` the requests that ``front`` accepts and that carry ``token``, if there is one."""
 
     app: ASGIApp
     front: Front

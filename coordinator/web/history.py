@@ -26,7 +26,7 @@ class _Moment:
 
 
 class Series:
-    """One kind of thing: at each moment an array for each of ``columns``, a place for each of ids that come and go."""
+    """The past of things of one kind: at each moment a value of each of ``columns`` for each id. Ids come and go."""
 
     def __init__(self, columns: Sequence[str], most_bytes: int) -> None:
         self.columns = tuple(columns)
@@ -37,12 +37,12 @@ class Series:
         self._moments: deque[_Moment] = deque()
 
     def take(self, time: float, ids: Sequence[Any], columns: Mapping[str, np.ndarray]) -> None:
-        """Keep a moment, and forget the oldest ones where that is too much; the newest is always kept."""
+        """Adds a moment, and drops the oldest ones while there are too many; the newest one is always kept."""
         cost = 0
         if self._ids != (ids := tuple(ids)):
             self._ids, self._place = ids, {name: k for k, name in enumerate(ids)}
             cost = BYTES_OF_ID * len(ids)
-        with np.errstate(over="ignore"):  # of a hostile area
+        with np.errstate(over="ignore"):  # a hostile area may send values beyond float32
             values = np.array([columns[name] for name in self.columns], dtype=np.float32)
         moment = _Moment(time, self._place, values, cost + values.nbytes)
         self._moments.append(moment)
@@ -51,7 +51,7 @@ class Series:
             self._forget_oldest()
 
     def _forget_oldest(self) -> None:
-        """Its places go with it only if no later moment has them, too."""
+        """Drops the oldest moment. The cost of its places goes to the next moment if that has the same places."""
         oldest, following = self._moments.popleft(), self._moments[0]
         self.bytes -= oldest.bytes
         if following.place is oldest.place:
@@ -60,7 +60,7 @@ class Series:
             self.bytes += cost
 
     def read(self, name: Any) -> dict[str, Any]:
-        """Times, and each column, of the moments at which the id was there; empty if it never was."""
+        """Times and columns of the moments that have the id ``name``; empty lists if none has it."""
         there = [(moment, place) for moment in self._moments if (place := moment.place.get(name)) is not None]
         found = np.array([moment.values[:, place] for moment, place in there]).reshape(len(there), len(self.columns))
         columns = {name: found[:, k].astype(float).tolist() for k, name in enumerate(self.columns)}
@@ -80,5 +80,5 @@ class History:
         }
 
     def read(self, kind: str, name: str) -> dict[str, Any]:
-        """Of what a page calls ``name``: a bus by its number."""
+        """Times and columns of the thing ``name`` of ``kind``; the name of a bus is its number."""
         return self.of[kind].read(int(name) if kind == "bus" else name)

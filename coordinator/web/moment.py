@@ -26,22 +26,22 @@ Links = Sequence[Mapping[str, Any]]
 
 @dataclass(frozen=True, slots=True)
 class _Link:
-    """A link as it was seen last."""
+    """The last known condition of a link."""
 
-    is_dead: bool = False  # not just one that has not begun yet
+    is_dead: bool = False  # False also for a link that has not begun to work
     has_worked: bool = False
 
 
 @dataclass
 class Events:
-    """What has changed from one view to the next, in words; the newest are kept."""
+    """Events: changes from one view to the next, in words. ``kept``: the newest ones."""
 
     kept: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_EVENTS))
     _before: dict[str, AreaView] = field(default_factory=dict)
     _links: dict[tuple[str, str], _Link] = field(default_factory=dict)  # sender first
 
     def take(self, at: float, view: View, links: Links) -> None:
-        """Note what differs from the last view and its links, see ``find_links``."""
+        """Adds an event for each difference from the last view and its links, see ``find_links``."""
         for area in view.areas:
             before = self._before.get(area.name)
             for kind, text in _find_changes(before, area):
@@ -54,8 +54,8 @@ class Events:
         self._take_links(at, view, links)
 
     def _take_links(self, at: float, view: View, links: Links) -> None:
-        """Links that stop working, or without which an area estimates from the begin, and those that then work; where
-        an area is gone, its own events say so.
+        """Adds an event for each link that stops working, that does not work although its receiver estimates, or that
+        works after either. Links of an area that is absent or silent have no events; the area has its own.
         """
         there = {area.name: area for area in view.areas if area.present and not area.silent}
         before, self._links = self._links, {}
@@ -88,9 +88,9 @@ def _find_changes(before: AreaView | None, area: AreaView) -> Iterable[tuple[str
 
 
 class Moments:
-    """Makes moments of what a watcher has received, and keeps their past.
+    """Makes moments from the messages that a watcher has received, and keeps their past.
 
-    ``known``: the grid, if there is a scenario of it.
+    ``known``: the grid, if its scenario is known.
     """
 
     def __init__(self, known: GridTables | None) -> None:
@@ -101,7 +101,7 @@ class Moments:
         self._scans_kept: object = None
 
     def note(self, watcher: Watcher, now: float, at: float) -> View:
-        """What is seen ``now`` on the watcher's clock, called ``at`` (s); events and past take in what is new of it."""
+        """The view at ``now`` on the watcher's clock. Events and past take in its changes with the time ``at``, s."""
         view = watcher.look(now)
         self._note(at, view, find_links(view), lambda: find_tables(watcher, self.known))
         return view
@@ -114,7 +114,10 @@ class Moments:
             self._keep(at, view, find_tables())
 
     def make(self, watcher: Watcher, now: float, at: float, **more: Any) -> dict[str, Any]:
-        """The moment ``now``, see ``note``: of buses and branches what is drawn, of meters the worst."""
+        """The moment at ``now``, see ``note``: the drawn columns of buses and branches, and the worst meters.
+
+        ``more``: further keys, which replace those of the moment.
+        """
         view, tables = watcher.look(now), find_tables(watcher, self.known)
         links = find_links(view)
         self._note(at, view, links, lambda: tables)
@@ -148,7 +151,7 @@ class Moments:
 
 
 def find_tables(watcher: Watcher, known: GridTables | None) -> Tables:
-    """Of what ``watcher`` has received; ``known``: the grid, if there is a scenario of it."""
+    """Tables of the messages that ``watcher`` has received. ``known``: the grid, if its scenario is known."""
     states, readings = watcher.states, watcher.readings
     if known is None:
         return Tables(list_buses(states), None, collect_readings(states, readings))
@@ -156,17 +159,21 @@ def find_tables(watcher: Watcher, known: GridTables | None) -> Tables:
 
 
 def encode_json(content: object) -> bytes:
-    """As JSON; nan and infinity are null."""
+    """``content`` as JSON; nan and infinity become null."""
     return msgspec.json.encode(content)
 
 
 def _number_quality(quality: str) -> int:
-    """0 is good; a word that a stranger made up is the worst."""
+    """Number of a quality: 0 is good, larger is worse; an unknown word has the largest number."""
     return QUALITIES.index(quality) if quality in QUALITIES else len(QUALITIES)
 
 
 def find_links(view: View) -> list[dict[str, Any]]:
-    """Each boundary in each direction: whether the receiver says that it receives, and since when not."""
+    """Links between neighbouring areas, one for each direction.
+
+    ``age_s``: age of the last message, as the receiver reports it. ``alive``: True where both areas are present, the
+    receiver is not silent, and the age is below its limit.
+    """
     present = {area.name: area for area in view.areas}
     return [
         {

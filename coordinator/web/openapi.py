@@ -1,4 +1,4 @@
-"""The API in the words of OpenAPI 3.1."""
+"""Description of the API in OpenAPI 3.1."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ GUARDED = {
 
 
 def describe_api() -> dict[str, Any]:
-    """All paths; each can be read only."""
+    """The OpenAPI document of all paths, which are read-only."""
     return {
         "openapi": "3.1.0",
         "info": {

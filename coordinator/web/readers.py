@@ -1,4 +1,4 @@
-"""Who is connected to the page: room for so many, and an end to those who never begin, never ask or never read."""
+"""Connections to the page: a limit of their number, and an end of those without handshake, request or reading."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from coordinator.http_front import LONGEST_REQUEST, PATIENCE_S, REQUEST_S, make_room
 
-HANDSHAKE_S = 10.0  # in which TLS must be agreed on
-FAREWELL_S = 2.0  # in which the other end of TLS says goodbye, too
-AGAIN_S = 0.1  # until connections are taken again, where this process can have no more files
+HANDSHAKE_S = 10.0  # limit of the TLS handshake
+FAREWELL_S = 2.0  # limit of the TLS shutdown
+AGAIN_S = 0.1  # until the next accept, where this process cannot open more files
 
 
 class PatientProtocol(H11Protocol):
-    """Closes a connection on which no whole request comes in time, and aborts one whose reader takes nothing for long:
-    else a few hundred of them would fill the server.
+    """Closes a connection without a whole request in time, and aborts one whose reader takes no data for long.
+    Otherwise a few hundred such connections would fill the server.
     """
 
     _abortion: asyncio.TimerHandle | None = None
@@ -32,16 +32,16 @@ class PatientProtocol(H11Protocol):
 
     @property
     def is_silent(self) -> bool:
-        """Whether it has no answer to wait for."""
+        """True where the connection does not wait for an answer."""
         return self.cycle is None or self.cycle.response_complete
 
     def end(self) -> None:
-        """At once, and without a word."""
+        """Aborts the connection at once, without an answer."""
         self.connections.discard(self)
         self.transport.abort()
 
     def data_received(self, data: bytes) -> None:
-        if len(data) > LONGEST_REQUEST:  # h11 limits what comes in pieces
+        if len(data) > LONGEST_REQUEST:  # h11 limits requests that come in pieces
             self.transport.abort()
         else:
             super().data_received(data)
@@ -76,7 +76,10 @@ class PatientProtocol(H11Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Arrival:
-    """A connection that has been accepted and, with TLS, not been agreed on yet; one of ``others``."""
+    """An accepted connection that is not yet among those of the server; with TLS, its handshake has not ended.
+
+    ``others``: the set of all arrivals, which contains this one.
+    """
 
     link: socket.socket
     task: asyncio.Task[None]
@@ -84,20 +87,20 @@ class Arrival:
     silent_since: float
 
     def end(self) -> None:
-        """At once, also where the other end has not said a word."""
+        """Ends the connection at once, even before its handshake."""
         self.others.discard(self)
         self.task.cancel()
 
     def forget(self, task: asyncio.Task[None]) -> None:
-        """After the end of its ``task``: it is among the connections of the server, or closed."""
+        """Removes the arrival after the end of its ``task``; closes its socket if the server did not take it."""
         self.others.discard(self)
-        if task.cancelled() or task.exception() is not None:  # strangers would fill a log with what they do wrongly
+        if task.cancelled() or task.exception() is not None:  # not logged: faulty clients would fill the log
             self.link.close()
 
 
 class PatientServer(uvicorn.Server):
-    """Takes connections itself, as asyncio counts none before TLS is agreed on: where there are MOST_READERS, arriving
-    ones among them, who has been silent longest gives way.
+    """Server that accepts connections itself, because asyncio counts none before its TLS handshake has ended. With
+    MOST_READERS connections, arriving ones included, the connection idle longest is closed for a new one.
     """
 
     _door: asyncio.Task[None] | None = None
@@ -122,7 +125,7 @@ class PatientServer(uvicorn.Server):
         while True:
             try:
                 link, _ = await loop.sock_accept(listener)
-            except OSError:  # there are no more files for it, or it is gone already
+            except OSError:  # the process can open no more files, or the connection is gone already
                 await asyncio.sleep(AGAIN_S)
                 continue
             self._make_room()
@@ -130,10 +133,14 @@ class PatientServer(uvicorn.Server):
             arrival = Arrival(link, task, self._arrivals, time.monotonic())
             self._arrivals.add(arrival)
             task.add_done_callback(arrival.forget)
-            await asyncio.sleep(0)  # while many wait, the others are served in between
+            await asyncio.sleep(0)  # lets other connections be served while many arrive
 
     async def _let_in(self, link: socket.socket) -> None:
-        """Until it is among the connections of the server, or an error says why not."""
+        """Adds the connection to those of the server, after its handshake with TLS.
+
+        Raises:
+            OSError: the handshake fails or takes too long.
+        """
         limits = {"ssl_handshake_timeout": HANDSHAKE_S, "ssl_shutdown_timeout": FAREWELL_S} if self.config.ssl else {}
         await asyncio.get_running_loop().connect_accepted_socket(
             lambda: PatientProtocol(self.config, self.server_state, self.lifespan.state),
@@ -143,7 +150,7 @@ class PatientServer(uvicorn.Server):
         )
 
     def _make_room(self) -> None:
-        """For one more."""
+        """Closes the connection idle longest, if there is no room for one more."""
         readers = [reader for reader in self.server_state.connections if isinstance(reader, PatientProtocol)]
         silent: list[PatientProtocol | Arrival] = [reader for reader in readers if reader.is_silent]
         make_room(len(readers) + len(self._arrivals), [*silent, *self._arrivals])

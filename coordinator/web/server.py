@@ -1,4 +1,4 @@
-"""The web server: where it listens, certificates, and a token beyond loopback."""
+"""The web server: its address, its certificate, and a token beyond loopback."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LEAST_TOKEN, MOST_TOKEN = 16, 4096  # characters
 
 @dataclass(frozen=True)
 class Place:
-    """Where a page is served: ``host`` and ``port`` (0: any that is free), certificate and key in PEM, and a token."""
+    """The address of a page: ``host`` and ``port`` (0: a free one), certificate and key in PEM, and a token."""
 
     host: str
     port: int
@@ -32,11 +32,11 @@ class Place:
 
     @property
     def is_loopback(self) -> bool:
-        """True where this machine alone gets there."""
+        """True where only this machine reaches the page."""
         return is_loopback(self.host)
 
     def url(self, port: int) -> str:
-        """What to open."""
+        """The URL of the page at ``port``."""
         return f"{'https' if self.certificate else 'http'}://{name_address(self.host, port)}/"
 
 
@@ -46,7 +46,8 @@ def choose_place(
     """The place that the options describe.
 
     Raises:
-        InvalidInputError: all that is wrong or missing; beyond loopback certificate, key and token are needed.
+        InvalidInputError: naming all options that are wrong or missing; beyond loopback certificate, key, token and a
+            name are needed.
     """
     host, port = parse_listen(listen, "127.0.0.1:8080")
     problems = []
@@ -74,10 +75,12 @@ def choose_place(
 
 
 def serve(source: Source, place: Place, names: tuple[str, ...], on_ready: Callable[[str], object]) -> None:
-    """Serve ``source`` until SIGINT or SIGTERM; ``names``: those under which the host is asked for, beside its own.
+    """Serves ``source`` until SIGINT or SIGTERM. ``names``: further host names accepted in requests.
+
+    ``on_ready``: called with the URL when the address is open.
 
     Raises:
-        InvalidInputError: the place is taken or is not there.
+        InvalidInputError: the address is in use or does not exist.
     """
     try:
         opened = open_listener(place.host, place.port)
@@ -92,10 +95,10 @@ def serve(source: Source, place: Place, names: tuple[str, ...], on_ready: Callab
             http=PatientProtocol,
             ws="none",
             lifespan="off",
-            log_level="error",  # strangers would fill the log with what they ask wrongly
+            log_level="error",  # faulty requests would fill the log
             access_log=False,
             server_header=False,
-            limit_concurrency=MOST_READERS + 1,  # beyond it a reader is told so
+            limit_concurrency=MOST_READERS + 1,  # beyond it a request gets status 503
             timeout_keep_alive=5,
             timeout_graceful_shutdown=1,
             h11_max_incomplete_event_size=LONGEST_REQUEST,

@@ -1,4 +1,4 @@
-"""What of the tables of a moment goes to a page: what is drawn with every moment, the rest by request."""
+"""Tables of a moment for a page: the drawn columns with every moment, the others by request."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from coordinator.observe.grid_tables import Columns, order_worst_first, pick_rows
 from dsse_core.results.table import Table
 
-MOST_METERS = 100  # the worst, that go with a moment
+MOST_METERS = 100  # the worst meters, sent with every moment
 MOST_ROWS = 1000  # of one request
-# column -> decimals: what a page can show, in a third of the bytes
+# column -> decimals: enough for a page, in a third of the bytes
 BUS = {"vm_pu": 6, "va_deg": 5, "sigma_vm_pu": 7, "sigma_va_deg": 6, "p_kw": 3, "q_kvar": 3}
 BRANCH = {"p_from_kw": 3, "q_from_kvar": 3, "i_from_a": 3, "loss_kw": 4, "loading_percent": 2}
 METER = {"reading": 6, "sigma": 7, "estimate": 6, "residual_in_sigmas": 3, "normalised_residual": 3, "age_s": 1}
@@ -22,7 +22,7 @@ WORDS = ("meter", "area", "status", "unit")
 
 
 class Tables(NamedTuple):
-    """Of one moment; ``branches``: None where the grid is not known."""
+    """The tables of a moment. ``branches``: None where the grid is not known."""
 
     buses: Table
     branches: Table | None
@@ -30,8 +30,8 @@ class Tables(NamedTuple):
 
 
 def draw_tables(tables: Tables, *, has_grid: bool) -> dict[str, Any]:
-    """What goes with a moment: columns in the order of the grid, or with the ``id`` of each bus where there is none;
-    those of which nothing is known are left out.
+    """The tables sent with a moment: columns in the order of the grid, or with the ``id`` of each bus without a grid;
+    columns without any value are left out.
     """
     buses, branches, meters = tables
     worst = order_worst_first(meters, MOST_METERS)
@@ -44,9 +44,9 @@ def draw_tables(tables: Tables, *, has_grid: bool) -> dict[str, Any]:
 
 
 def select_rows(tables: Tables, kind: str, name: str | None, first: int, count: int) -> dict[str, Any]:
-    """All columns of the one row called ``name``, or of ``count`` rows from ``first`` on, meters the worst first.
+    """All columns of the row with the id ``name``, or of ``count`` rows from ``first`` on, the worst meters first.
 
-    ``total``: how many there are.
+    ``total``: number of rows in the table.
     """
     columns, key, decimals = _find_columns(tables, kind)
     ids = [str(each) for each in columns[key]] if key in columns else []
@@ -71,7 +71,7 @@ def _known(table: Table, names: Mapping[str, int]) -> Columns:
 
 
 def _describe(columns: Columns, decimals: Mapping[str, int]) -> dict[str, Any]:
-    """Numbers rounded, and words."""
+    """Columns of numbers, rounded, and columns of words."""
     return _round(columns, decimals) | {name: columns[name] for name in WORDS if name in columns}
 
 

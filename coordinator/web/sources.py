@@ -1,4 +1,4 @@
-"""What a page shows: a running system, received in a thread of its own, or moments that were made before."""
+"""Sources of a page: a running system, received in a thread, or the moments of a playback."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from coordinator.web.drawing import Drawing, draw_scenario, draw_states, encode_
 from coordinator.web.moment import Moments, encode_json
 from coordinator.web.shown_tables import Tables
 
-UPDATE_S = 0.25  # between two moments, at least
-BUSY_SHARE = 5  # making moments takes a fifth of the time at most, however large the grid
+UPDATE_S = 0.25  # least time between two moments
+BUSY_SHARE = 5  # the pause between two moments is at least this multiple of the time for making a moment
 MOST_RATE = 2_000_000  # bytes a second to one reader
 
 Look = Callable[[float], Watcher]
@@ -23,14 +23,14 @@ Look = Callable[[float], Watcher]
 
 @dataclass(frozen=True)
 class Frame:
-    """A moment as it is sent: ``number`` grows with each."""
+    """A moment as it is sent. ``number`` grows from frame to frame."""
 
     number: int
     payload: bytes
 
 
 class Source(Protocol):
-    """``mode``: live or playback."""
+    """Interface of a source. ``mode``: live or playback."""
 
     @property
     def mode(self) -> str: ...
@@ -40,47 +40,52 @@ class Source(Protocol):
 
     @property
     def drawing(self) -> Drawing:
-        """What hardly changes; see ``/api/grid``."""
+        """The drawing of the grid, which rarely changes; see ``/api/grid``."""
         ...
 
     def read_history(self, kind: str, name: str) -> dict[str, Any]:
-        """Times and columns of one bus, branch, meter or area, empty if it is not known; ``complete``: whether that is
-        all.
+        """Times and columns of a bus, branch, meter or area, empty if it is not known.
+
+        ``complete``: False where more of them will be found.
         """
         ...
 
     def tables(self, number: int | None = None) -> Tables:
-        """Of the newest moment, or of the frame of that number."""
+        """Tables of the newest moment, or of the frame ``number``."""
         ...
 
     @property
     def since(self) -> float:
-        """What times count from, s since 1970; 0 where there was no such time."""
+        """Origin of the times of frames, s since 1970; 0 where they have no such origin."""
         ...
 
     def times(self) -> Sequence[float]:
-        """Of the frames that can be asked for; none of a live source."""
+        """Times of the frames, s from ``since``; a live source has none."""
         ...
 
     @property
     def remarks(self) -> Sequence[str]:
-        """In words, what is not among them."""
+        """Sentences on parts of the run that the frames lack."""
         ...
 
     @property
     def is_complete(self) -> bool:
-        """Whether there will be no more of them."""
+        """True where no frames will be added."""
         ...
 
     def frame(self, number: int) -> bytes:
-        """One of them."""
+        """The frame ``number``, encoded.
+
+        Raises:
+            LookupError: there is no such frame.
+        """
         ...
 
 
 class LiveSource:
-    """What ``look`` receives, until ``close``; a thread makes a moment of it now and then.
+    """Source of the messages that ``look`` receives until ``close``. A thread makes moments of them at intervals.
 
-    ``known``: the grid, if there is a scenario of it.
+    ``known``: the grid, if its scenario is known.
     """
 
     mode = "live"
@@ -93,17 +98,17 @@ class LiveSource:
         self._moments = Moments(known)
         self._lock = threading.Lock()  # of the history
         self._newest = Frame(0, encode_json({"number": 0, "mode": self.mode, "time": time.time()}))
-        self._drawn: object = None  # what the drawing shows
+        self._drawn: object = None  # buses and neighbours that the drawing shows
         self._drawing = encode_drawing(draw_scenario(known.scenario) if known else draw_states(run, {}), self.mode)
         self._is_over = False
         self._thread = threading.Thread(target=self._go_on, name="watcher")
 
     def start(self) -> None:
-        """Begin to receive."""
+        """Starts the thread that receives."""
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread."""
+        """Ends the thread."""
         self._is_over = True
         self._thread.join()
 
@@ -132,7 +137,7 @@ class LiveSource:
         due = time.monotonic()
         while not self._is_over:
             watcher = self._look(max(0.0, min(UPDATE_S, due - time.monotonic())))
-            if (began := time.monotonic()) < due:  # something has arrived before it is time for the next moment
+            if (began := time.monotonic()) < due:  # a message has arrived before the next moment is due
                 continue
             with self._lock:
                 self._take(watcher, began)
@@ -146,7 +151,7 @@ class LiveSource:
         self._newest = Frame(number, encode_json(moment))
 
     def _draw_anew(self, watcher: Watcher) -> None:
-        """Without a scenario the grid is what areas say of their buses; it is drawn anew once that changes."""
+        """Draws the grid again if buses or neighbours in the states have changed; with a scenario it is constant."""
         if self._known is not None:
             return
         drawn = {name: (state.buses, tuple(state.sent)) for name, state in watcher.states.items()}

@@ -10,13 +10,13 @@ from starlette.types import Receive, Scope, Send
 from coordinator.web.sources import Source
 
 LOOK_S = 0.05
-PULSE_S = 2.0  # between two signs of life while there is no new moment: making one of a large grid takes long
+PULSE_S = 2.0  # between two signs of life without a new moment, which takes long to make for a large grid
 HEADERS = [(b"content-type", b"text/event-stream"), (b"x-accel-buffering", b"no")]
 
 
 @dataclass(frozen=True)
 class Stream:
-    """An application that sends what ``source`` has until the reader goes."""
+    """An application that sends the newest moments of ``source`` until the reader disconnects."""
 
     source: Source
 
@@ -41,7 +41,7 @@ class Stream:
             while (frame := self.source.newest).number == number and waited_s < PULSE_S:
                 await asyncio.sleep(LOOK_S)
                 waited_s += LOOK_S
-            body = b"event: pulse\ndata\n\n"  # without data no browser would hand it out
+            body = b"event: pulse\ndata\n\n"  # a browser ignores events without data
             if frame.number != number:
                 number, body = frame.number, b"id: %d\ndata: %s\n\n" % (frame.number, frame.payload)
             await send({"type": "http.response.body", "body": body, "more_body": True})

@@ -17,7 +17,7 @@ MOST_BYTES = 1_000_000  # of one file
 
 @dataclass(frozen=True)
 class Library:
-    """``files``: path in the package -> name in ``FOLDER``."""
+    """A library of the page. ``files``: path in the package -> name in ``FOLDER``."""
 
     name: str
     version: str
@@ -41,7 +41,7 @@ LIBRARIES = (
 
 
 def fetch(library: Library, folder: Path) -> None:
-    """Put the files of ``library`` into ``folder``; npm checks that the package is the one that was published.
+    """Puts the files of ``library`` into ``folder``. npm checks that the package is the published one.
 
     Raises:
         subprocess.CalledProcessError: npm cannot fetch it.
@@ -59,7 +59,7 @@ def fetch(library: Library, folder: Path) -> None:
 
 
 def describe(folder: Path) -> str:
-    """What lies in ``folder``: name, version, licence and the sha256 of each file."""
+    """README of the libraries in ``folder``: name, version, licence and the sha256 of each file."""
     lines = [
         "# Libraries of the page",
         "",

@@ -1,1 +1,1 @@
-"""A run that is over, played on the page: what has happened in it, at any moment of it."""
+"""Playback of a run on the page: its states, messages and events at any moment."""

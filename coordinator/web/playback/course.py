@@ -1,4 +1,4 @@
-"""The course of a play: what a watcher knows at any moment of it, found without going there from the beginning."""
+"""The course of a play: the watcher at any moment of it, found without reading the play from its beginning."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from coordinator.observe.watch import Watcher
 from coordinator.web.moment import Events, find_links
 from coordinator.web.playback.play import Play, Presence, Update
 
-STEP = 64  # updates between two places of which the watcher is kept, at least
-MOST_LOOKS = 1000  # at a play for its events and its past, beside those at which an area came or went
+STEP = 64  # least number of updates between two copies of the watcher
+MOST_LOOKS = 1000  # views of a play for its events and its past, beside those at which an area came or went
 MOST_EVENTS = 50_000  # of a play
 
 
 class Course:
-    """Of ``play``; ``areas``: their names, if they are known."""
+    """The course of ``play``. ``areas``: their names, if they are known."""
 
     def __init__(self, play: Play, areas: frozenset[str] | None) -> None:
         self._play, self._areas = play, areas
         self._times = [at for at, _ in play.updates]
         senders = {item.header.sender for _, item in play.updates if not isinstance(item, Presence)}
-        self._step = max(STEP, len(senders))  # so that all that is kept together grows as the play does
+        self._step = max(STEP, len(senders))  # so that the copies together grow in proportion to the play
         self._kept: list[Watcher] = []
         watcher = Watcher(play.run, areas)
         for k, (at, item) in enumerate(play.updates):
@@ -35,7 +35,7 @@ class Course:
             _show(watcher, at, item)
 
     def watcher_at(self, at: float) -> Watcher:
-        """One that has received all up to ``at``."""
+        """A watcher that has received all updates up to ``at``."""
         end = bisect.bisect_right(self._times, at)
         place = min(end // self._step, len(self._kept) - 1)
         watcher = self._kept[place].copy()
@@ -44,8 +44,8 @@ class Course:
         return watcher
 
     def walk(self) -> Iterator[tuple[float, Watcher]]:
-        """The watcher after each moment at which something has happened; in a play of very many after one in each of
-        even steps of time, and after those at which an area came or went.
+        """Each time of an update, with the watcher after it. In a play with more than ``MOST_LOOKS`` times: one time in
+        each of ``MOST_LOOKS`` equal intervals, and each time at which an area came or went.
         """
         watcher, came_or_went = Watcher(self._play.run, self._areas), False
         for (at, item), following in zip(self._play.updates, [*self._times[1:], math.inf], strict=True):
@@ -57,14 +57,14 @@ class Course:
 
     @cached_property
     def _slice_s(self) -> float:
-        """Between two looks; 0: at all moments."""
+        """Interval of the times of ``walk``, s; 0: all times."""
         return (self._times[-1] - self._times[0]) / MOST_LOOKS if len({*self._times}) > MOST_LOOKS else 0.0
 
     def _slice_of(self, at: float) -> float:
         return (at - self._times[0]) // self._slice_s if self._slice_s and at < math.inf else at
 
     def find_events(self) -> list[dict[str, Any]]:
-        """In the order of their times."""
+        """The events of the play in the order of their times, the newest ``MOST_EVENTS`` of them."""
         events = Events(deque(maxlen=MOST_EVENTS))
         for at, watcher in self.walk():
             view = watcher.look(at)

@@ -1,4 +1,4 @@
-"""A simulated run that is played while it is computed: more moments of it can be played now and then."""
+"""A simulated run that is played while it is computed: its playback grows at intervals."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from coordinator.web.shown_tables import Tables
 from coordinator.web.sources import BUSY_SHARE, Frame
 from scenarios.scenario import Scenario
 
-FIRST_LOOK_S = 0.02  # until it is asked again whether the run has begun
-GROW_S = 1.0  # between two times at which what can be played grows, at least
+FIRST_LOOK_S = 0.02  # between two checks for the begin of the run
+GROW_S = 1.0  # least time between two growths of the playback
 
 
 class _AbandonedError(Exception):
-    """Nobody looks at the run any more."""
+    """The page of the run has been closed."""
 
 
 class _Watched(Play):
-    """A play that ends the simulation once it ``is_abandoned``."""
+    """A play that ends the simulation at its next message between areas once it ``is_abandoned``."""
 
     is_abandoned = False
 
@@ -36,9 +36,11 @@ class _Watched(Play):
 
 
 class GrowingPlayback:
-    """``scenario`` on the simulator, to its verdict or its time limit, in a thread of its own between ``start`` and
-    ``close``; ``on_complete``: called when all of it can be played. Of a run that is not over the last moments are
-    missing: a message may arrive yet.
+    """Source of a run of ``scenario`` on the simulator, to its verdict or its time limit, in a thread between ``start``
+    and ``close``.
+
+    ``on_complete``: called when the whole run can be played. Until then the last moments of the computed run are left
+    out, because messages sent in them may still arrive.
     """
 
     mode = "playback"
@@ -58,10 +60,10 @@ class GrowingPlayback:
         ]
 
     def start(self) -> None:
-        """Return when there is something to look at.
+        """Starts the threads, and returns when the first moments can be played.
 
         Raises:
-            Exception: why the simulation has failed before.
+            Exception: the failure of the simulation, if it has failed before.
         """
         for thread in self._threads:
             thread.start()
@@ -70,7 +72,7 @@ class GrowingPlayback:
             raise self._failure
 
     def close(self) -> None:
-        """End the threads."""
+        """Ends the threads. Waits until the simulation sends its next message between areas, or ends."""
         self._play.is_abandoned = True
         for thread in self._threads:
             thread.join()
@@ -82,7 +84,7 @@ class GrowingPlayback:
             self._simulation.run()
         except _AbandonedError:
             pass
-        except Exception as error:  # said where the run is looked at
+        except Exception as error:  # reported on the page, as a remark
             self._failure = error
         finally:
             self._over.set()

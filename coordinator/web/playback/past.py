@@ -1,4 +1,4 @@
-"""The past of every bus, branch, meter and area of a play: found beside the page once somebody asks for it."""
+"""The past of every bus, branch, meter and area of a play, computed in a thread from the first request on."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from coordinator.web.moment import Moments
 from coordinator.web.playback.course import Course
 from scenarios.scenario import Scenario
 
-PATIENCE_S = 1.0  # of who asks, with a past that is not complete yet
+PATIENCE_S = 1.0  # wait of a request for a past that is not complete yet
 
 
 class PastOfPlay:
-    """Of ``course``; a thread of its own goes through it, as tables of thousands of buses take their time."""
+    """The past of the play of ``course``. A thread goes through it, because tables of thousands of buses are slow."""
 
     def __init__(self, course: Course, scenario: Scenario | None) -> None:
         self._course = course
@@ -25,7 +25,7 @@ class PastOfPlay:
         self._is_over = False
 
     def read(self, kind: str, name: str) -> dict[str, Any]:
-        """Times and columns, as far as they are found after a short while; whether that is ``complete``."""
+        """Times and columns found after ``PATIENCE_S`` at most; ``complete``: True where the past is complete."""
         with self._beginning:
             if self._thread.ident is None:
                 self._thread.start()
@@ -35,7 +35,7 @@ class PastOfPlay:
             return self._moments.history.read(kind, name) | {"complete": is_complete}
 
     def close(self) -> None:
-        """Go no further."""
+        """Ends the computation of the past."""
         self._is_over = True
 
     def _find(self) -> None:

@@ -13,13 +13,13 @@ from coordinator.simulator.subscriber import Subscriber
 
 MOST_VALUES = 2_000_000  # buses and meters of all updates together: some hundred megabytes
 MOST_MESSAGES = 200_000  # between areas
-WAYS = 2  # of the longest way of a message so far, after which one that has not arrived counts as lost
-IN_SIMULATION = Incarnation(1, 1)  # in whose name areas of a simulation are shown as present
+WAYS = 2  # a message counts as lost after this multiple of the longest travel time so far
+IN_SIMULATION = Incarnation(1, 1)  # in the presence tokens of the areas of a simulation
 
 
 @dataclass(frozen=True, slots=True)
 class Presence:
-    """The token ``key`` has appeared or vanished."""
+    """The appearance or the end of the presence token ``key``."""
 
     key: str
     alive: bool
@@ -27,7 +27,7 @@ class Presence:
 
 @dataclass(slots=True)
 class Sent:
-    """A message on its way to ``receiver``; ``arrived``: when, None if it is lost."""
+    """A message to ``receiver``. ``arrived``: time of its arrival; None if it is lost or still on its way."""
 
     sender: str
     receiver: str
@@ -41,10 +41,10 @@ Update = StateMessage | ReadingsMessage | Presence
 
 @dataclass
 class Play(Subscriber):
-    """The course of ``run``: its ``updates`` in order, with their times, and ``messages`` between areas.
+    """The play of ``run``: its ``updates`` in order, with their times, and ``messages`` between areas.
 
-    Times are s from the begin of the play, which is ``since``, s since 1970; 0 where there was no such time. What
-    arrives when there is no more room (``is_full``) is not kept.
+    Times are s from the begin of the play. ``since``: time of this begin, s since 1970; 0 for a simulated run.
+    ``is_full``: no more room; further updates and messages are dropped.
     """
 
     run: str = ""
@@ -85,14 +85,14 @@ class Play(Subscriber):
             found.arrived = at
 
     def copy_settled(self) -> Play:
-        """What is known for sure of a play that another thread goes on with: of its end it is not known yet whether
-        messages arrive.
+        """A copy of the settled part of a play that another thread extends. Its end is left out, because messages sent
+        there may still arrive.
         """
         updates, messages = list(self.updates), list(self.messages)
         now = max((*(at for at, _ in updates[-1:]), *(sent.at for sent in messages[-1:])), default=0.0)
         arrived = [(sent, at) for sent in messages if (at := sent.arrived) is not None]
         longest_s = max((at - sent.at for sent, at in arrived), default=math.inf)
-        until = max(now - WAYS * longest_s, messages[0].at) if messages else math.inf  # all is known before the first
+        until = max(now - WAYS * longest_s, messages[0].at) if messages else math.inf  # without messages all is settled
         return Play(
             run=self.run,
             since=self.since,
@@ -106,7 +106,7 @@ def _identify(header: Header, receiver: str, kind: str) -> tuple[object, ...]:
 
 
 def count_values(item: Update) -> int:
-    """How many buses or meters it is about."""
+    """Number of buses or meters in ``item``."""
     match item:
         case StateMessage():
             return len(item.buses)

@@ -1,4 +1,4 @@
-"""A recording as a play: what areas have shown and used, and who came and went, in the order of its time."""
+"""A recording as a play: states, readings and presence of areas in the order of time."""
 
 from __future__ import annotations
 
@@ -26,17 +26,18 @@ from dsse_core.split_identity import SplitIdentity
 from scenarios.scenario import Scenario
 
 MOST_UPDATES = 10_000  # the newest that are played
-LETTERS = 50  # of JSON, which are kept as one value is
+LETTERS = 50  # characters of JSON that count as one value
 
 Row = Mapping[str, Any]
 Timed = tuple[float, Update]
 
 
 def play_recording(folder: Path, scenario: Scenario | None, notes: list[str]) -> PlaybackSource:
-    """The recording at ``folder``, its newest part if it is long; what is lost or left out is added to ``notes``.
+    """The recording at ``folder`` as a source; the newest part of a long one. Lost and omitted parts go to ``notes``.
 
     Raises:
-        InvalidInputError: it is no recording, nothing is in it, or it has Parquet and pyarrow is not installed.
+        InvalidInputError: ``folder`` is no recording, or nothing in it can be read, as without pyarrow where all of it
+            is Parquet.
     """
     run = read_about(folder).run
     kept: list[Timed] = []
@@ -58,7 +59,7 @@ def play_recording(folder: Path, scenario: Scenario | None, notes: list[str]) ->
 
 
 def _find_lacking(updates: Iterable[Update]) -> Iterator[str]:
-    """In words, what a page shows of a run and a recording does not hold."""
+    """Remarks on the content of a page that the recording lacks."""
     yield "a recording holds no messages between areas"
     used = [item for item in updates if isinstance(item, ReadingsMessage) and item.meters]
     if not used:
@@ -68,7 +69,7 @@ def _find_lacking(updates: Iterable[Update]) -> Iterator[str]:
 
 
 def _find_begin(updates: list[Timed]) -> int:
-    """The place of the first that is played."""
+    """Index of the first update that is played."""
     values = 0
     for k in reversed(range(len(updates))):
         values += count_values(updates[k][1])
@@ -78,7 +79,7 @@ def _find_begin(updates: list[Timed]) -> int:
 
 
 def _find_there_before(updates: list[Timed], run: str) -> Iterator[Presence]:
-    """The tokens of areas that were there before the first that is played."""
+    """Presence tokens of areas that were present before the first update played."""
     known = set[str]()
     for _, item in updates:
         if isinstance(item, Presence):
@@ -89,7 +90,10 @@ def _find_there_before(updates: list[Timed], run: str) -> Iterator[Presence]:
 
 
 def _read_segment(folder: Path, segment: str, run: str, notes: list[str]) -> list[Timed]:
-    """The newest part of one segment, no more than is played; the newest state of an estimate has its buses."""
+    """The newest part of a segment, at most as much as is played, sorted by time.
+
+    Each state has the buses of its estimate, unless their rows are older than this part.
+    """
     presences: deque[Timed] = deque(maxlen=MOST_UPDATES)
     states, buses, readings = _Newest(), _Newest(), _Newest()
     texts: dict[str, Any] = {}
@@ -113,7 +117,7 @@ def _read_segment(folder: Path, segment: str, run: str, notes: list[str]) -> lis
                 presences += _to_presence(row, run)
             elif row["event"] in LOST:
                 note(notes, row["details"])
-    except InvalidInputError as error:  # a foreign file, or one that is damaged; the others are read all the same
+    except InvalidInputError as error:  # a foreign or damaged file; the other segments are still read
         note(notes, str(error))
     updates: list[Timed] = [*presences]
     updates += [(at, _with_buses(item, buses.rows.get(key, ()))) for ((key, at, item),) in states.rows.values()]
@@ -122,7 +126,7 @@ def _read_segment(folder: Path, segment: str, run: str, notes: list[str]) -> lis
 
 
 class _Newest:
-    """Rows of the newest messages, of as many as are played. ``rows``: message -> its rows."""
+    """Rows of the newest messages, at most as many as are played. ``rows``: message -> its rows."""
 
     def __init__(self) -> None:
         self.rows: dict[tuple[Any, ...], list[tuple[Any, ...]]] = {}
@@ -130,7 +134,7 @@ class _Newest:
         self._count = 0
 
     def take(self, message: tuple[Any, ...], row: tuple[Any, ...], values: int = 1) -> None:
-        """Keep one more row, of so many ``values``."""
+        """Adds a row of ``message`` that counts as ``values``; drops the oldest messages while there are too many."""
         self.rows.setdefault(message, []).append(row)
         self._values[message] = self._values.get(message, 0) + values
         self._count += values
@@ -141,12 +145,14 @@ class _Newest:
 
 
 def _whose(row: Row) -> tuple[Any, ...]:
-    """The estimate that a row belongs to."""
+    """Key of the estimate of a row: area, incarnation and number."""
     return row["area"], row["incarnation"], row["estimate"]
 
 
 def _to_presence(row: Row, run: str) -> Iterator[Timed]:
-    """Nobody's who has no incarnation, as LEFT, which says why instead; the token vanishes right after."""
+    """The presence of an event; none where the event, as LEFT, has a reason in the place of the incarnation: there the
+    token vanishes right after.
+    """
     incarnation = incarnation_of(row["details"])
     is_named = NAME.fullmatch(row["role"]) and NAME.fullmatch(row["name"])
     if incarnation is not None and is_named and row["time"] is not None:
@@ -158,10 +164,10 @@ def _to_header(area: str, incarnation: str, scan: int, sequence: int, run: str, 
 
 
 def _to_state(row: Row, run: str, texts: dict[str, Any]) -> StateMessage:
-    """Without its buses. ``texts``: of JSON that was read before, as rows repeat it.
+    """The state of a row, without its buses. ``texts``: JSON read before -> its content, because rows repeat it.
 
     Raises:
-        ValueError: a column of JSON holds something else; names it.
+        ValueError: a column of JSON has an invalid value; the error names the column.
     """
     blank: dict[str, Any] = dict.fromkeys(("buses", "vm", "va", "sigma_vm", "sigma_va"), ())
     tables = {name: _read_table(column, row[column], kind, texts) for name, (column, kind) in _TABLES.items()}
@@ -184,7 +190,11 @@ def _to_state(row: Row, run: str, texts: dict[str, Any]) -> StateMessage:
 
 
 def _read_table(column: str, text: str, kind: Any, texts: dict[str, Any]) -> Any:
-    """The table in ``text``, checked as on the wire."""
+    """The table in the JSON of ``text``, checked by the type ``kind`` as on the wire.
+
+    Raises:
+        ValueError: the text is no such table; the error names ``column``.
+    """
     if (known := texts.get(column + text)) is not None:
         return known
     try:
@@ -233,12 +243,12 @@ def _with_buses(state: Update, rows: Iterable[tuple[Any, ...]]) -> Update:
 
 
 def _radians(angles: Iterable[float | None]) -> tuple[float, ...]:
-    """0 for those that count from nowhere."""
+    """``angles``, degrees, in rad; 0 for angles without reference."""
     return tuple(0.0 if angle is None else math.pi / 180 * angle for angle in angles)
 
 
 def _to_readings(key: tuple[Any, ...], rows: list[tuple[Any, ...]], run: str) -> ReadingsMessage:
-    """One row without a meter says that none was used."""
+    """The readings message ``key`` from its rows. A single row without a meter means that no reading was used."""
     area, incarnation, scan, sequence, taken_at, at = key
     described = [row for row in rows if row[0] is not None and row[-1] is not None]
     given = [*described, *(row for row in rows if row[0] is not None and row[-1] is None)]

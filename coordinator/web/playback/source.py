@@ -1,4 +1,4 @@
-"""A run that is over, moment by moment: every message between areas, every state, forwards and backwards."""
+"""Source of a played run, moment by moment, forwards and backwards: every message between areas, every state."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ MOST_FRAMES = 20_000
 
 
 class PlaybackSource:
-    """``play``, drawn from ``scenario`` if there is one; a frame is a time at which something has happened.
+    """Source of ``play``, drawn from ``scenario`` if it is known. A frame is a time of an update or a message.
 
-    ``remarks``: sentences about what it lacks; ``is_complete``: whether no more of it will be played; ``drawing``: that
-    of ``scenario``, if it is there already. A frame is made when it is asked for, from the watcher that is kept at
-    the last of some places: of all frames together there may be gigabytes.
+    ``remarks``: sentences about parts that it lacks. ``is_complete``: True where the play does not grow any more.
+    ``drawing``: that of ``scenario``, if it has been made already. A frame is made on request, from the nearest earlier
+    copy of the watcher, because all frames together may have gigabytes.
 
     Raises:
-        ValueError: nothing has happened.
+        ValueError: ``play`` has no updates.
     """
 
     mode = "playback"
@@ -61,7 +61,7 @@ class PlaybackSource:
         self.is_complete = is_complete
 
     def close(self) -> None:
-        """Stop looking for its past."""
+        """Ends the computation of the past."""
         self._past.close()
 
     @cached_property
@@ -104,7 +104,7 @@ class PlaybackSource:
         return encode_json(moment | {"events": self._events[max(0, end - MOST_EVENTS) : end]})
 
     def _messages_at(self, before: float, at: float) -> Iterator[Sent]:
-        """Those on their way, those that have just arrived, and those that were just lost."""
+        """Messages on their way at ``at``, and those that have arrived or were sent and lost since ``before``."""
         begin = bisect.bisect_left(self._sent_at, before - self._longest_way_s)
         for sent in self._play.messages[begin : bisect.bisect_right(self._sent_at, at)]:
             is_lost_now = sent.arrived is None and sent.at > before
