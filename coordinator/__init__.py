@@ -1,7 +1,7 @@
 """Launches router, plant and agents, watches them, compares and reports; the command line.
 
 ``coordinator.run(scenario)`` is what ``dsse run`` does, ``coordinator.simulate(scenario)`` what ``dsse simulate``
-does. Importing this package imports nothing heavy: a process that becomes an agent must not pay for what only the
+does. Importing this package imports nothing heavy: a process that becomes an agent must not import what only the
 coordinator needs.
 
 Part of consensus-dsse.

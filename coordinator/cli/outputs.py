@@ -35,7 +35,7 @@ class Output:
     def check_table(self, names: Sequence[str], where: str) -> None:
         """Check, before the computation, that the table of ``--csv`` is one of ``names``.
 
-        ``where``: of what these tables are, for the error.
+        ``where``: owner of these tables, for the error, such as ``of one scan``.
 
         Raises:
             click.UsageError: it is none of them."""

@@ -158,7 +158,7 @@ def show(text: str) -> bool:
 
 
 def end_output() -> None:
-    """Let a pipe that reads standard output see its end, although the process goes on; a terminal stays."""
+    """End standard output for the reader of a pipe or file, although the process continues; a terminal stays open."""
     with suppress(OSError, ValueError):
         sys.stdout.flush()
         if not sys.stdout.isatty():

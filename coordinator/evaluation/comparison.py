@@ -89,7 +89,7 @@ def compare(
     truth: PowerFlowResult | None,
     centralised: BadDataReport | None,
 ) -> Comparison:
-    """Put the areas' published ``states`` beside ``centralised`` and ``truth``.
+    """Compare the areas' published ``states`` with ``centralised`` and ``truth``.
 
     An unknown truth (None), a failed centralised estimate (None) and an area without estimate count as nan. So do the
     angles of an area whose angles do not count from the substation.

@@ -17,7 +17,7 @@ def estimate_whole_grid(scenario: Scenario) -> tuple[BadDataReport, PowerFlowRes
     Raises:
         InvalidInputError: every problem in what the meters observe.
         NotObservableError: the readings of the scan do not determine the state.
-        PowerFlowDivergedError, EstimationDivergedError: see there.
+        PowerFlowDivergedError, EstimationDivergedError: the power flow or the estimate does not converge.
     """
     plan = plan_whole_grid(scenario)
     scan = read_meters(scenario)

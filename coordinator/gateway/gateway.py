@@ -44,7 +44,7 @@ def run_gateway(
     """Run the gateway of a map until SIGTERM, Ctrl-C or the end of its source; 0, or 2 after a user's mistake.
 
     3 if another process of this name began later. ``keys``: folder of credentials. ``status_file``: file with one line
-    of JSON, the counts of the readings, renewed every STATUS_S. ``direct``: ``endpoints`` are those of all areas.
+    of JSON, the counts of readings and the links, renewed when they change. ``direct``: ``endpoints`` are of all areas.
     """
     start_log()
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end

@@ -1,4 +1,4 @@
-"""The table of areas in the terminal, renewed while a run goes on."""
+"""The table of areas in the terminal, renewed during a run."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ class Observer:
         return max((count_exchanges(state) for state in self.states.values()), default=0)
 
     def take_state(self, state: StateMessage, now: float) -> bool:
-        """Keep ``state`` if it is at least as new as the area's last; True where it differs from that."""
+        """Keep ``state`` if it is at least as new as the area's last; True unless it is a repeat."""
         watched = self._watched.get(state.header.sender)
         if watched is None or not self._is_of_its_area(state):
             return False
