@@ -76,7 +76,7 @@ Event = Received | Rejected | PresenceChanged | ClockSet | Ordered | Offered | S
 
 @dataclass(frozen=True, slots=True)
 class Publish:
-    """Send ``message`` to neighbour ``to``, or show it to watchers (None)."""
+    """Sends ``message`` to neighbour ``to``, or shows it to watchers (None)."""
 
     message: Message
     to: str | None
@@ -99,7 +99,7 @@ class GoOver:
 
 @dataclass(frozen=True, slots=True)
 class Conclude:
-    """Log ``text``, if it is new: the findings at the end of ``scan``, or findings that have held for long.
+    """Logs ``text``, if it is new: the findings at the end of ``scan``, or findings that have held for long.
 
     ``facts``: statements of the text without figures, each with the meter or area that it concerns, empty without one.
     """

@@ -7,8 +7,8 @@ receives Down(k) takes the step, passes Down(k) on and is in round k + 1. Every 
 so that messages of different iterations never meet.
 
 A *term* is (scan, revision). The links in use are fixed when an area enters a term. A change of links (a neighbour is
-silent, back, or has restarted), new readings of the scan or a neighbour that is not believed raise the revision: all
-areas begin again at round 0 with the state so far.
+silent, back, or has restarted), late or new readings of the scan, a command of the operator or a neighbour that is not
+believed raise the revision. Then all areas begin again at round 0 with the state so far.
 """
 
 from __future__ import annotations
@@ -271,7 +271,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         yield from self._go_on()
 
     def _distrust(self, name: str, why: str) -> Iterator[Action]:
-        """Goes on without a neighbour in this scan: its messages are false by themselves or by those sent to it."""
+        """Goes on without a neighbour in this scan: its messages contradict themselves, the grid or sent ones."""
         self._peers.distrusted[name] = why
         yield from self._change()
 

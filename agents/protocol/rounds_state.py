@@ -120,7 +120,7 @@ class RoundsState:
         return self.show(term, now, is_heartbeat=False) if is_new else None
 
     def _is_first_way_through(self, term: Term) -> bool:
-        """True where a scan is under way in its first revision, or no state has been published yet.
+        """True where a scan is under way: in its first revision, or before the first published state.
 
         Until its estimate is there, only heartbeats publish a state: the notes of the last scan still hold of that.
         """
