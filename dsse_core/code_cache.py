@@ -43,12 +43,12 @@ def note_whole(what: Whole) -> None:
 
 
 class KeptCode:
-    """The cache of one compiled function, in place of numba's own, which takes any folder that can be written."""
+    """The cache of one compiled function, in place of numba's own: that uses any folder that can be written."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._caches: dict[Path, FunctionCache] = {}
         for folder in (place.folder for place in find_places() if place.fault is None):
-            with contextlib.suppress(RuntimeError):  # where NUMBA_CACHE_LOCATOR_CLASSES names others than ours
+            with contextlib.suppress(RuntimeError):  # where NUMBA_CACHE_LOCATOR_CLASSES names other locators
                 kept = _cache_in(folder)(function)
                 if isinstance(kept._impl.locator, _Locator):
                     self._caches[folder] = kept

@@ -1,4 +1,4 @@
-"""The errors of the package: what is wrong, where, and what to do next."""
+"""The errors of the package: each text names the problem, its place and the cure."""
 
 import re
 from collections.abc import Sequence
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dsse_core.printable import listed, printable, printable_lines, shortened_inside
 
 BELIEVABLE = 5.0  # sigma; one reading in two million is farther off by noise alone
-MOST_SHOWN = 50  # problems of one input that are shown; the rest is counted
+MOST_SHOWN = 50  # problems of one input that are shown; further problems are counted
 LONGEST_LINE = 1000  # characters; a longer line keeps its beginning, the place, and its end, the cure
 MOST_NAMED = 100  # buses in one text
 POSITION = re.compile(r"\w\[\d+\]")

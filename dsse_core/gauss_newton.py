@@ -46,7 +46,7 @@ def correct_step(share: float, stepped: bool, flows_known: bool, dva: float, dvm
 
     Args:
         share: the share of the Gauss-Newton step that was taken.
-        stepped: the step is not corrected yet, nor is it the last one.
+        stepped: the step is not corrected yet, and is not the last step.
         flows_known: current magnitudes are in use, or there are none.
         dva, dvm: largest change of an angle, rad, and of a magnitude, p.u., in the whole Gauss-Newton step.
     """
@@ -82,11 +82,11 @@ def next_step(
 ) -> tuple[int, float, float]:
     """The verdict at a state that needs no correction, the share of the coming step, and the next ``before``.
 
-    FINAL, EVALUATE: the coming step is the last one and is taken in full; J lies below its limit, or not. GO_ON: more
-    are to come. LOST: the steps are used up.
+    FINAL: the coming step is the last and is taken in full. EVALUATE: the same, but J is not below its limit. GO_ON:
+    more steps are to come. LOST: the steps are used up.
 
     The end follows from the steps that were taken. Where convergence is linear the coming step is rate * largest, with
-    rate = largest / before but LEAST_RATE at least. It must be below ``tolerance``, and what is left after it,
+    rate = largest / before but LEAST_RATE at least. It must be below ``tolerance``, and the distance left after it,
     rate^2 * largest, below REST. Where convergence is quadratic, both are far less. With current magnitudes it is
     linear: the coming step itself must be below REST. The gain of a step is no measure: with short branches and small
     sigmas it lies below rounding.
@@ -95,9 +95,10 @@ def next_step(
         steps: number of steps taken since the start.
         share: the share of the last Gauss-Newton step that was taken.
         stepped: the last step is not corrected.
-        before, largest: size of the last but one and of the last step, by their largest entry. ``before`` is 0 where
-            the two cannot be compared: other shares, or only one with current magnitudes.
-        flows_known: current magnitudes are in use, or there are none; ``with_currents``: they are in use.
+        before, largest: size of the last step but one and of the last step, by their largest entry. ``before`` is 0
+            where the two cannot be compared: other shares, or current magnitudes in only one of them.
+        flows_known: current magnitudes are in use, or there are none.
+        with_currents: current magnitudes are in use.
         objective, limit: J at the state, and its chi-square limit.
         tolerance: the most that the last step may move, p.u. and rad, where convergence is linear.
         most_steps: limit of ``steps``.

@@ -2,10 +2,10 @@
 
 LONGEST_S = 86400  # of any time: a day
 SHORTEST_SCAN_S = 0.001  # between two scans
-LEAST_HEARTBEAT_S = 0.001  # between two heartbeats; shorter ones leave no time for anything else
+LEAST_HEARTBEAT_S = 0.001  # between two heartbeats; a shorter time leaves none for anything else
 LARGEST_SEED = 2**63 - 1  # the largest integer of TOML
 LONGEST_NAME = 64  # letters of the name of an area, a run or a branch; certificates have this limit of names
-LARGEST_BUS = 10**15  # size of the id of a bus, which may be negative: exact as a float, too
+LARGEST_BUS = 10**15  # largest size of a bus id, which may be negative: every id is exact as a float, too
 SMALLEST_SIGMA, LARGEST_SIGMA = 1e-9, 1e6  # p.u. or rad
 # Limits of sigmas given in arrays: between them the square of sigma, its reciprocal and J are finite.
 LEAST_USABLE_SIGMA, MOST_USABLE_SIGMA = 1e-100, 1e100

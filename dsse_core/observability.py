@@ -119,7 +119,7 @@ def find_indispensable_rows(network: Network, meters: Sequence[Meter], reference
 def find_null_vectors(network: Network, meters: Sequence[Meter], reference: int) -> np.ndarray:
     """State changes [va; vm] that no meter sees: orthonormal columns, shape (2 n_bus, k).
 
-    Complete if k < WIDTH; with k = WIDTH there may be more, of which these are a random choice.
+    They are complete if k < WIDTH. With k = WIDTH there may be more state changes, of which these are a random choice.
     """
     n = len(network.buses)
     free = np.delete(np.arange(2 * n), network.row[reference])
@@ -131,7 +131,7 @@ def find_null_vectors(network: Network, meters: Sequence[Meter], reference: int)
     factor = _factor_shifted(A, pattern)
     width = min(WIDTH, n_free)
     X = np.random.default_rng(0).standard_normal((n_free, width))
-    for _ in range(3):  # each time multiplies what the meters do not see by 1e6 and more
+    for _ in range(3):  # each pass multiplies the state changes that no meter sees by 1e6 and more
         right = pattern.permute(np.vstack([np.zeros((n_meas, width)), X]))
         X = np.linalg.qr(pattern.permute_back(factor.solve(right))[n_meas:])[0]
     at_least_square = np.vstack([A @ X, np.zeros((width, width))])

@@ -90,7 +90,7 @@ def set_rights(fd: int, mode: int) -> None:
 
 
 def be_nice(by: int) -> None:
-    """Give way to other processes, by ``by`` steps of niceness."""
+    """Adds ``by`` to the niceness of this process."""
     if hasattr(os, "nice"):
         os.nice(by)
 
@@ -129,7 +129,7 @@ def unblock(numbers: Iterable[int]) -> None:
 
 
 def name_signal(number: int) -> str:
-    """Name of a signal; of a real-time signal, which has none, its number."""
+    """Name of a signal; the number of a real-time signal, which has no name."""
     try:
         return signal.Signals(number).name
     except ValueError:

@@ -1,4 +1,4 @@
-"""Foreign text made printable: names, notes and paths that others chose, before they are shown anywhere."""
+"""Foreign text made printable: names, notes and paths from other people, before they are shown anywhere."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def shortened_inside(text: str, longest: int) -> str:
 
 
 def listed(items: Collection[object], most: int = LONGEST_LIST, separator: str = ", ") -> str:
-    """``1, 2, 3``: at most ``most`` of ``items`` in one text, and how many more there are."""
+    """``1, 2, 3``: at most ``most`` of ``items`` in one text, and the number of the remaining items."""
     shown = [str(item) for item in islice(items, most)]
     more = len(items) - len(shown)
     return separator.join(shown) + (f" and {more} more" if more else "")

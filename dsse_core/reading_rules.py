@@ -43,20 +43,20 @@ class KindRule:
         return max(self.period_s or 0.0, scan_s or 0.0)
 
     def leaves_out_s(self, scan_s: float | None) -> float:
-        """The age beyond which a reading is left out; infinity where no interval is known."""
+        """The age beyond which a reading is left out, s; infinity without ``oldest_s`` where no interval is known."""
         if self.oldest_s is not None:
             return self.oldest_s
         return OLDEST_INTERVALS * self.interval_s(scan_s) or math.inf
 
     def overdue_s(self, scan_s: float | None) -> float:
-        """The age beyond which a reading is overdue; infinity where no interval is known.
+        """The age beyond which a reading is overdue, s; infinity where no interval is known.
 
         One reading may be lost, and the scan that uses the last reading lasts until the next scan.
         """
         return OVERDUE_INTERVALS * self.interval_s(scan_s) + (scan_s or 0.0) or math.inf
 
     def grown(self, sigma: float, age_s: float) -> float:
-        """The standard deviation of a reading with ``sigma`` at ``age_s``."""
+        """Standard deviation of a reading at ``age_s``: ``sigma sqrt(1 + age / aging)``; ``sigma`` without aging."""
         aging_s = self.aging_s or self.period_s
         return sigma * math.sqrt(1.0 + age_s / aging_s) if aging_s and age_s > 0 else sigma
 
@@ -80,7 +80,7 @@ class ReadingRules:
     Args:
         ticks: "gateway": gateway ``leader`` numbers scans. "clock": a scan begins at each multiple of ``scan_s``, UTC.
         gateways: name -> its meters; the name ``ANYBODY`` stands for every gateway.
-        kinds: kind of meter -> its rule; ``NO_RULE`` of one that is not there.
+        kinds: kind of meter -> its rule; a kind that is not there has ``NO_RULE``.
     """
 
     ticks: Ticks = "gateway"

@@ -1,7 +1,7 @@
 """The identity of a split: from which network, cuts, meters and rules the areas' files were made, and when.
 
-Areas estimate together, each from its own file. The estimate is right only if all files are of one split, and none has
-been edited since.
+Areas estimate together, each from its own file. The estimate is right only if all files are of one split and no file
+has been edited since.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ NO_SPLIT = SplitIdentity()
 
 @dataclass(frozen=True, slots=True)
 class SplitUse:
-    """A split on which some areas work; ``areas``: those of them that are known not to work on the newest one."""
+    """A split on which some areas work; ``areas``: those of them that are known not to work on the newest split."""
 
     split: SplitIdentity
     areas: tuple[str, ...] = ()

@@ -73,7 +73,7 @@ def read_text(
     default its path.
 
     Raises:
-        InvalidInputError: the file cannot be read, is no regular file, is too large, or is no such text.
+        InvalidInputError: the file cannot be read, is no regular file, is too large, or is no text in ``encoding``.
     """
     try:
         return read_bounded(path, largest).decode(encoding, errors)

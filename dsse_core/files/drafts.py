@@ -25,7 +25,7 @@ PRIVATE_FOLDER = 0o700
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """A file to write, of the same ending; at the end of the block it stands at ``path``, in place of what was there.
+    """A draft to write, of the same ending; at the end of the block it replaces the file at ``path``.
 
     After any error ``path`` is as before.
 
@@ -69,7 +69,7 @@ def _locked(parent: Path, prefix: str, suffix: str, make: Callable[[Path], None]
         yield path
     finally:
         with contextlib.suppress(OSError):
-            _remove(path)  # where it still is
+            _remove(path)  # where the draft still is
         os.close(lock)
 
 

@@ -36,5 +36,5 @@ def suggest(word: str, allowed: Iterable[str]) -> str:
 
 
 def describe_unknown(what: str, name: str, known: Collection[str]) -> str:
-    """The error text for ``name``, which is no ``what``: the ``known`` ones, and the one that it may stand for."""
+    """The error text for ``name``, which is no ``what``: the names ``known``, and the known name close to it."""
     return f"unknown {what} {name!r}; allowed: {', '.join(known)}{suggest(name, known)}"

@@ -16,7 +16,7 @@ from dsse_core.grid.network_table import NetworkTable
 
 @dataclass(frozen=True)
 class Admittance:
-    """``stacked`` (n + 2 n_branch, n): ``ybus`` (n, n), ``yf`` and ``yt`` (n_branch, n) below each other.
+    """Admittances. ``stacked`` (n + 2 n_branch, n): ``ybus`` (n, n), ``yf`` and ``yt`` (n_branch, n) below each other.
 
     For voltages ``v`` the currents are ``ybus v`` into the network, ``yf v`` and ``yt v`` into the ends of branches.
     Rows of ``ybus`` follow ``network.buses``, rows of ``yf`` and ``yt`` follow ``network.active_branches``.
@@ -101,13 +101,13 @@ def find_no_load(
 
 
 def _walk(network: Network, reference: int, tap: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """vm and va along a tree of branches from 1 p.u., 0 rad, which buses out of reach keep; (n_bus,)."""
+    """vm and va along a tree of branches from 1 p.u., 0 rad, (n_bus,); buses out of reach keep 1 p.u., 0 rad."""
     from scipy.sparse.csgraph import breadth_first_order
 
     table = network.table
     n, start = len(table.bus_id), network.row[reference]
     _, above = breadth_first_order(table.graph, start, directed=False)
-    gain, turn = np.ones(n), np.zeros(n)  # from the bus above, of buses out of reach none: observability names them
+    gain, turn = np.ones(n), np.zeros(n)  # from the bus above; observability names buses out of reach
     for here, there, factor, angle in ((table.t, table.f, tap, shift), (table.f, table.t, 1 / tap, -shift)):
         walked = np.flatnonzero(above[there] == here)[::-1]  # of parallel branches the first
         gain[there[walked]], turn[there[walked]] = factor[walked], angle[walked]
@@ -118,7 +118,7 @@ def _walk(network: Network, reference: int, tap: np.ndarray, shift: np.ndarray) 
 def _balance(
     table: NetworkTable, gain: np.ndarray, offset: np.ndarray, is_given: np.ndarray, values: np.ndarray
 ) -> np.ndarray:
-    """The ``values`` (n_bus,) that minimise sum |ys| (gain v_f - offset - v_t)^2 with those that are given.
+    """The ``values`` (n_bus,) that minimise sum |ys| (gain v_f - offset - v_t)^2; the given values stay.
 
     ``gain``, ``offset``: (n_branch,). Buses that no branch joins to a given one keep their value.
     """

@@ -1,4 +1,4 @@
-"""The blocks of a network: its loops, and the branches that lie in none.
+"""The blocks of a network: its loops, and the branches that lie in no loop.
 
 Two branches belong to one block if some loop runs through both; a branch in no loop is a block of its own. Blocks
 meet at articulation points and form a tree (the block-cut tree), rooted at the substation here. Areas made of whole

@@ -125,7 +125,7 @@ def _find_ways(partition: Partition, hub: str) -> dict[str, str | None]:
     """Area -> the neighbour on its way to ``hub``."""
     towards: dict[str, str | None] = {hub: None}
     queue = [hub]
-    for name in queue:  # which grows
+    for name in queue:  # the queue grows
         for neighbour in partition.area(name).neighbours:
             if neighbour.area not in towards:
                 towards[neighbour.area] = name

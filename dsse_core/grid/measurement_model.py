@@ -172,7 +172,7 @@ def build_measurement_model(network: Network, admittance: Admittance, meters: Se
     branch.
     """
     table = tabulate_meters(network, meters)
-    f = np.append(network.table.f, -1)  # which row -1 is
+    f = np.append(network.table.f, -1)  # the last row stands for -1
     branch = np.maximum(table.branch, -1)
     at_to = np.where(f[branch] == table.bus, 0, len(f) - 1)
     rows = np.where(branch < 0, table.bus, len(network.table.bus_id) + branch + at_to)

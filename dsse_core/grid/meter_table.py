@@ -49,7 +49,7 @@ def make_meters(
 
 
 def join_meters(network: Network, parts: Sequence[Sequence[Meter]]) -> Sequence[Meter]:
-    """The meters of all ``parts``, of ``network``, one after the other; columns where all parts are."""
+    """The meters of all ``parts``, of ``network``, one after the other; columns where all parts are columns."""
     columns = [part.columns for part in parts if isinstance(part, Records)]
     if len(columns) < len(parts):
         return tuple(meter for part in parts for meter in part)
@@ -94,7 +94,7 @@ def list_ids(meters: Sequence[Meter]) -> list[str]:
 
 
 def list_columns(meters: Sequence[Meter]) -> dict[str, list[Any]]:
-    """Attributes of ``Meter`` -> those of each of ``meters``, kinds and sources as plain text."""
+    """Attribute of ``Meter`` -> its values for ``meters``, kinds and sources as plain text."""
     if not isinstance(meters, Records):
         columns = {name: [getattr(meter, name) for meter in meters] for name in ("kind", "bus", "branch", "source")}
         return columns | {name: [str(value) for value in columns[name]] for name in ("kind", "source")}
@@ -141,7 +141,7 @@ def tabulate_meters(network: Network, meters: Sequence[Meter]) -> MeterTable:
         if table.in_service.all():
             branch = np.where(branch < 0, NO_BRANCH, branch)
         else:
-            branch = np.append(table.active_row, NO_BRANCH)[np.maximum(branch, -1)]  # which row -1 is
+            branch = np.append(table.active_row, NO_BRANCH)[np.maximum(branch, -1)]  # the last row stands for -1
         return MeterTable(columns["kind"], table.rows.find(columns["bus"]), branch)
     bus = np.array([meter.bus for meter in meters], dtype=np.int64)
     branch = rows_of_texts(network.active_branch_ids, [meter.branch for meter in meters])

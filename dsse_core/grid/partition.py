@@ -146,13 +146,13 @@ class Partition:
 
     @cached_property
     def rows_of_buses(self) -> dict[str, np.ndarray]:
-        """Area -> the rows in the whole network of the buses that it sees, in its order."""
+        """Area -> the rows in the whole network of the buses that it sees, in the area's order."""
         find = self.network.table.rows.find
         return {area.name: find(area.network.table.bus_id) for area in self.areas}
 
     @cached_property
     def rows_of_branches(self) -> dict[str, np.ndarray]:
-        """Area -> the places among all branches of the network of those that it holds, in its order."""
+        """Area -> the places of its branches among all branches of the network, in the area's order."""
         row = {branch: k for k, branch in enumerate(self.network.branch_ids)}
         return {
             area.name: np.array([row[branch] for branch in area.network.branch_ids], dtype=np.int64)
@@ -178,7 +178,7 @@ class Partition:
 
     @cached_property
     def owner_of_bus(self) -> dict[int, str]:
-        """Bus id -> the area that owns it: its only area, or the one towards the substation."""
+        """Bus id -> the area that owns it: its only area, or its area towards the substation."""
         names = [area.name for area in self.areas]
         return {
             bus: names[k]
@@ -228,19 +228,19 @@ class Partition:
 
     @property
     def hub(self) -> str:
-        """The middle area of the longest path: from it all others are reached soonest."""
+        """The middle area of the longest path, from which messages reach all other areas soonest."""
         return self.longest_path[len(self.longest_path) // 2]
 
     @cached_property
     def longest_path(self) -> tuple[str, ...]:
-        """The areas on the longest path of the tree: a message from its one end to its other passes them all."""
+        """The areas on the longest path of the tree, in the order in which a message passes them."""
         return self._farthest_from(self._farthest_from(self.areas[0].name)[-1])
 
     def _farthest_from(self, start: str) -> tuple[str, ...]:
         """The areas on the longest path that starts at area ``start``."""
         before: dict[str, str | None] = {start: None}
         queue = [start]
-        for name in queue:  # which grows: breadth first, the last is the farthest
+        for name in queue:  # the queue grows: breadth first, the last area is the farthest
             for neighbour in self.area(name).neighbours:
                 if neighbour.area not in before:
                     before[neighbour.area] = name

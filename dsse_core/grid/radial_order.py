@@ -30,8 +30,8 @@ class Tree:
 
 
 def walk_graph(f: np.ndarray, t: np.ndarray, top: int, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """The rows of n that are reached from ``top`` over branches from ``f`` to ``t`` (n_branch,): those from the top, a
-    subtree in one piece, and of each the row next on the way to the top, (n,), the top's being its own.
+    """The rows of n buses that branches from ``f`` to ``t`` (n_branch,) join to ``top``: from the top, a subtree in one
+    piece; and for each row the next row on the way to the top, (n,), at the top its own.
     """
     return _walk(sp.csr_array((np.ones(len(f)), (f, t)), shape=(n, n)), top)
 
@@ -44,7 +44,7 @@ def _walk(graph: sp.csr_array, top: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def find_tree(network: Network, root: int) -> Tree | str:
-    """The tree of the network below bus ``root``, or, as text, why it is none."""
+    """The tree of the network below bus ``root``, or, as text, why the network is no tree."""
     table = network.table
     f, t, n = table.f, table.t, len(table.bus_id)
     order, upstream = _walk(table.graph, table.rows.row_of(root))

@@ -149,7 +149,12 @@ def _sweep(paths: TreePaths, plan: PowerFlowPlan, scheduled: np.ndarray, limit: 
 def _newton(
     plan: PowerFlowPlan, scheduled: np.ndarray, limit: np.ndarray, max_iterations: int
 ) -> tuple[np.ndarray, int]:
-    """Newton's iteration on the injections: P of all buses but the slack, Q of those that hold no voltage."""
+    """State x and number of steps of Newton's iteration on P of all buses but the slack and Q of buses that hold no
+    voltage.
+
+    Raises:
+        PowerFlowDivergedError: names the bus with the largest mismatch.
+    """
     p_rows, q_rows, model, x = plan.p_rows, plan.q_rows, plan.model, plan.start
     rows = np.r_[p_rows, q_rows]
     target = np.r_[scheduled.real[p_rows], scheduled.imag[q_rows]]

@@ -1,7 +1,7 @@
 """Power flow of radial networks by backward and forward sweeps, each a handful of operations on whole arrays.
 
 In the order of a walk from the root a subtree is one piece, so that the sum over it is a difference of two sums from
-the root on. Along the tour that enters and leaves every bus, the sum of what is entered and not left yet is the sum
+the root on. Along the tour that enters and leaves every bus, the sum over the buses entered and not left yet is the sum
 over the path from the root.
 """
 
@@ -39,7 +39,10 @@ class TreePaths:
 
 
 def lay_out_paths(network: Network, root: int, vm: np.ndarray) -> TreePaths | str:
-    """The tree with bus ``root`` on top, or, as text, why there is none; ``vm`` (n_bus,): no load, network order."""
+    """The tree with bus ``root`` on top, or, as text, why the network is no tree.
+
+    ``vm`` (n_bus,): voltage magnitudes without load, p.u., network order.
+    """
     tree = find_tree(network, root)
     if isinstance(tree, str):
         return tree
@@ -78,8 +81,8 @@ def _find_ends(parent: np.ndarray) -> np.ndarray:
 
 
 def sweep_paths(paths: TreePaths, scheduled: np.ndarray) -> tuple[np.ndarray, np.ndarray, int] | None:
-    """The voltages over those without load, complex, the powers that the buses inject, complex, p.u., and the number of
-    sweeps; None where they do not converge.
+    """The voltages divided by the voltages without load, complex, the powers that the buses inject, complex, p.u., and
+    the number of sweeps; None where sweeps do not converge.
 
     ``scheduled`` injections are complex, p.u., (n_bus,), in network order as the results. With the voltages u = v / v0
     and ``J = conj(v0) i``, the current that a branch carries and its tap does not change, from the leaves to the root

@@ -26,7 +26,7 @@ QUANTITIES = (
 
 
 def make_branch_table(network: Network, branches: BranchModel, flows: Flows, sigmas: np.ndarray | None = None) -> Table:
-    """One row per branch, those out of service included; they carry nothing.
+    """One row per branch; branches out of service are included and carry nothing.
 
     Powers and currents are positive into the branch at either end; a loss is the sum of the powers at both ends,
     charging included. ``loading_percent``: the larger current of the two ends by ``i_max``, or the larger apparent

@@ -23,7 +23,8 @@ def make_bus_table(
     sigma_va: np.ndarray,
     sigma_injection: np.ndarray,
 ) -> Table:
-    """One row per bus. ``vm_pu``, ``va_deg``, ``p_kw``, ``q_kvar`` are those of ``state``, positive into the network.
+    """One row per bus. ``vm_pu``, ``va_deg``, ``p_kw``, ``q_kvar`` come from ``state``; powers are positive into the
+    network.
 
     ``areas`` (n_bus,): the area that owns each bus. ``compared``: those of COMPARED that are known, vm and va (n_bus,),
     p.u. and rad. The standard deviations are in p.u. and rad, (n_bus,) and, of P and Q, (2, n_bus).

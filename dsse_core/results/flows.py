@@ -14,7 +14,7 @@ class BranchModel:
     """All branches of a network as arrays, (n_branch,), in the order of ``network.branches``.
 
     ``f``, ``t``: rows of their buses. ``yff``, ``yft``, ``ytf``, ``ytt``: admittances as in ``build_admittance``, of
-    branches in service; 0 of the others. ``det``: ``yff ytt - yft ytf``, found without that cancellation.
+    branches in service, 0 for other branches. ``det``: ``yff ytt - yft ytf``, found without cancellation.
     """
 
     f: np.ndarray

@@ -58,7 +58,7 @@ class Results:
 
 
 class WithTables(ABC):
-    """A result with ``tables``, each of which is an attribute of its own."""
+    """A result with ``tables``, and each table as an attribute."""
 
     @property
     @abstractmethod
@@ -108,7 +108,7 @@ def results_of_estimate(
     """The tables of a centralised estimate, with standard deviations of all quantities.
 
     Args:
-        partition: the areas to add up; the whole network is one area, called "", without it.
+        partition: the areas to add up; without it the whole network is one area, called "".
         meters: the meters to show, in this order, silent ones included; by default those of the estimate and the
             removed ones.
         truth: a power flow to show beside the estimate.
@@ -169,7 +169,7 @@ def _make_areas(
 
 
 def find_division(network: Network, partition: Partition | None) -> Division:
-    """The areas of ``partition``; the whole network is one, called "", without it."""
+    """The areas of ``partition``; without it the whole network as one area, called ""."""
     return division_of(partition) if partition else whole_network(network)
 
 

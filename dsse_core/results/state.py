@@ -1,4 +1,4 @@
-"""A state of the whole grid with all that flows in it: of one estimate or power flow, or joined from those of areas."""
+"""A state of the whole grid with its flows: of one estimate or power flow, or joined from the states of areas."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ KIND = MeasurementKind
 
 @dataclass(frozen=True, repr=False)
 class GridState:
-    """``vm`` p.u., ``va`` rad, ``injection`` complex, p.u.: (n_bus,), network order; nan where nothing is known.
+    """A state. ``vm`` p.u., ``va`` rad, ``injection`` complex, p.u.: (n_bus,), network order; nan where unknown.
 
     ``injection`` is generation minus load; a bus' shunt is not a part of it.
     """

@@ -26,7 +26,10 @@ def base_a(network: Network) -> np.ndarray:
 
 
 def wrap_degrees(va: np.ndarray) -> np.ndarray:
-    """Angles or their differences, rad, as degrees from -180 to 180; nan stays nan, and none is rounded by it."""
+    """Angles or their differences, rad, as degrees from -180 to 180; nan stays nan.
+
+    Angles in this range keep all digits.
+    """
     degrees = np.degrees(va)
     return np.asarray(degrees - 360.0 * np.round(degrees / 360.0))
 

@@ -78,7 +78,7 @@ class SparseDeviations:
 
 
 def _select(by: sp.csr_array, columns: np.ndarray, scale: np.ndarray, n: int) -> sp.csr_array:
-    """``by`` with each column scaled and put where ``columns`` says; (rows, n)."""
+    """``by`` with each column scaled by ``scale`` and moved to the column that ``columns`` names, (rows, n)."""
     return sp.csr_array((by.data * scale[by.indices], columns[by.indices], by.indptr), shape=(by.shape[0], n))
 
 
