@@ -52,7 +52,7 @@ IO_ERROR_CODE = 74  # exit code of a process that could not write or read a file
 
 @dataclass(frozen=True, slots=True)
 class Preload:
-    """Import the modules of ``targets``. Of "module:function", also call the function with ``arguments``."""
+    """Order to import the modules of ``targets`` and, of "module:function", to call the function with ``arguments``."""
 
     targets: tuple[str, ...]
     arguments: tuple[Any, ...] = ()
@@ -60,7 +60,7 @@ class Preload:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Fork process ``name``, which calls ``target`` ("module:function") and exits with the code that it returns.
+    """Order to fork process ``name``, which calls ``target`` ("module:function") and exits with its return value.
 
     ``arguments``: pickled, so that only the process itself spends time on them. ``stop_last``: the process is stopped
     when the others have ended. ``nice``: niceness added to the process.
@@ -76,7 +76,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """Send signal ``number`` to process ``name``; no effect if the process has ended."""
+    """Order to send signal ``number`` to process ``name``; no effect if the process has ended."""
 
     name: str
     number: int
@@ -84,12 +84,12 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class Bind:
-    """Stop all children and exit as soon as the coordinator has ended."""
+    """Order to stop all children and exit as soon as the coordinator has ended."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Stop all children and exit."""
+    """Order to stop all children and exit."""
 
 
 Order = Preload | Start | Signal | Bind | Stop
@@ -97,7 +97,7 @@ Order = Preload | Start | Signal | Bind | Stop
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """To the coordinator: process ``name`` runs."""
+    """Update to the coordinator: process ``name`` runs."""
 
     name: str
     pid: int
@@ -105,7 +105,7 @@ class Started:
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """To the coordinator: a process is gone; ``code`` is its exit code, negative for the signal that killed it."""
+    """Update to the coordinator: a process has ended. ``code``: exit code, or minus the signal that killed it."""
 
     name: str
     pid: int
@@ -114,7 +114,7 @@ class Ended:
 
 @dataclass(frozen=True, slots=True)
 class Compiling:
-    """To the coordinator: the parent begins or ends compiling. ``folder``: where the code is kept; None: nowhere."""
+    """Update to the coordinator: compiling begins or ends in the parent. ``folder``: of the code; None: not kept."""
 
     begins: bool
     folder: str | None

@@ -106,7 +106,7 @@ class Launcher:
         self._send(Preload(targets, arguments))
 
     def start(self, name: str, target: str, *arguments: Any, log: Path, stop_last: bool = False, nice: int = 0) -> None:
-        """Start process ``name``, which calls ``target`` ("module:function") and writes its output to ``log``.
+        """Starts process ``name``, which calls ``target`` ("module:function") and writes its output to ``log``.
 
         ``stop_last``: stopped after the others when the block ends. ``nice``: niceness added to the process.
         """

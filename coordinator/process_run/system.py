@@ -128,7 +128,7 @@ class System:
                 raise TransportError(self._last_error(RECORDER) or reason)
 
     def start_agents(self) -> None:
-        """Write the area files, start the agents."""
+        """Writes the area files and starts the agents."""
         where = (self.endpoints, self.folder / "areas", self._area_endpoints, ".json")
         for name, path in write_area_files(self.scenario, self.id, *where):
             self._order(name, "agents.__main__:run_process", path.absolute(), self.keys)
