@@ -137,7 +137,7 @@ def process_bad_data_with_plan(
     tolerance: float = LAST_STEP,
     threshold: float = THRESHOLD,
 ) -> BadDataReport:
-    """Estimate; while J exceeds the chi-square limit, remove the largest normalised residual and repeat.
+    """Estimates; while J exceeds the chi-square limit, removes the largest normalised residual and repeats.
 
     The verdicts are those of ``decision.decide``, to which the whole grid is one area without neighbours. Removal ends
     when the test passes or when no normalised residual exceeds ``threshold``. Of equal residuals the first meter by id

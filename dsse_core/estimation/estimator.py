@@ -67,7 +67,7 @@ def estimate_with_plan(
     memory: Memory = NO_MEMORY,
     threads: int = 1,
 ) -> EstimationResult:
-    """Find the state that minimises J(x) = (z - h(x))' W (z - h(x)), W = diag(1 / sigma^2) (eqs. 3.8-3.14).
+    """Finds the state that minimises J(x) = (z - h(x))' W (z - h(x)), W = diag(1 / sigma^2) (eqs. 3.8-3.14).
 
     ``values``, ``sigmas`` (n_meas,): the readings of the plan's meters. Virtual ones hold exactly; their sigma does
     not count. Gauss-Newton runs as ``decision.decide`` says, until the verdict is final or asks for normalised

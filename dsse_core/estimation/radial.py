@@ -70,7 +70,7 @@ def estimate_radial(
         is_far = steps < most_steps(memory) and step <= LARGEST_STEP
         weighted = abs(residual) / np.where(sigmas > 0, sigmas, np.inf)
         raise IterationLostError(steps, step, weighted, OUT_OF_REACH if is_far else DIVERGED)
-    memory = replace(memory, steps=steps - 1, evaluating=end == EVALUATE and not memory.kept)  # the last one is no more
+    memory = replace(memory, steps=steps - 1, evaluating=end == EVALUATE and not memory.kept)  # the last does not count
     return memory, (state[0], state[1], residual, objective, steps)
 
 
@@ -118,7 +118,7 @@ def invert_radial(plan: RadialPlan, sigmas: np.ndarray, vm: np.ndarray, va: np.n
     n = len(vm)
     z, w, v, va_in_order = np.zeros((n, N_SLOT)), np.empty((n, N_SLOT)), np.empty(n, dtype=complex), np.empty(n)
     radial_inverse.turn_to_radial_order(plan.order, vm, va, v, va_in_order)
-    radial_iteration.store(plan.meter, np.zeros(len(sigmas), dtype=bool), sigmas, sigmas, z, w)  # whatever was read
+    radial_iteration.store(plan.meter, np.zeros(len(sigmas), dtype=bool), sigmas, sigmas, z, w)  # any readings
     work = radial_kernel.Work.of(n)
     radial_kernel.eliminate(plan.parent, plan.admittance, z, w, v, va_in_order, True, radial_kernel.INVERT, *work)
     state, omega, S = radial_inverse.find_variances(plan.parent, plan.admittance, w, v, *work[2:5], True)

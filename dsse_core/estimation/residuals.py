@@ -23,7 +23,7 @@ CRITICAL_REDUNDANCY = 1e-12
 # Least (R_ii - Omega_ii) / R_ii, the variance of the estimated reading over that of the meter. Below it the meter says
 # next to nothing about its quantity, and the difference would lose more than four digits.
 LEAST_REDUCTION = 1e-4
-DEAD_VM = 0.5  # p.u.; no grid works below it, and weighted squares find states that almost would
+DEAD_VM = 0.5  # p.u.; no grid works below it, but least squares find states that come close to such a reading
 
 
 @lru_cache(maxsize=1024)

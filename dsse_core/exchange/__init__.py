@@ -1,3 +1,1 @@
-"""One area's part of the estimate of the whole grid: its model, boundary loads, rounds, bad data, ADMM's
-mathematics.
-"""
+"""One area's part of the estimate of the whole grid: boundary loads, iteration, bad data, gateways' mistakes, ADMM."""

@@ -38,7 +38,7 @@ Received = Mapping[str, BoundaryInformation]
 
 
 class AreaEstimation:
-    """Estimation of one area during a scan.
+    """Estimation of one area, scan by scan.
 
     ``x``: the state x_k, shape (size,), see ``AreaModel``; p.u. and rad. ``failure``: the reason why the area has no
     numbers, else empty. ``linearized_at``: x before the last step. The neighbours' information belongs to that state.

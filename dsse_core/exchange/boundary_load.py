@@ -79,7 +79,7 @@ def boundary_loads(area: Area, received: Mapping[str, NetLoad], error: complex =
 
 
 def stand_in_for(neighbour: Neighbour, boundary: Boundary, load: NetLoad) -> BoundaryInformation:
-    """Information about the variables y of the ``boundary``, p.u. and rad, from the net load beyond ``neighbour``."""
+    """Information about the variables y of the ``boundary``, p.u. and rad, from the net load on its far side."""
     power = -load.s if neighbour.is_parent else load.s
     weight = 1 / (load.variance**0.5 + UNSURE_OF_LOAD * abs(load.s) + LEAST_LOAD)
     R = np.diag(boundary.per_kind(weight, weight, 0.0, 0.0))

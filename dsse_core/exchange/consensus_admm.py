@@ -24,7 +24,9 @@ VOLTMETER_SIGMA = 0.002  # p.u.; taken where an area has no voltmeter
 POWER_METER_SIGMA = 0.01  # p.u.; taken where an area has no power meter
 DAMPING = 0.3  # tau, p.u. and rad
 LARGEST_STEP = 0.1  # p.u. and rad, of any voltage
-SPREAD = 3.0  # bound on the ratio of a boundary's standard deviations to those of the area's meters
+# A boundary's standard deviations are taken to lie above those of the area's meters divided by SPREAD; those of powers
+# below the meters' times SPREAD, those of voltages below the meters' own.
+SPREAD = 3.0
 
 _POWER = (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW, MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
 

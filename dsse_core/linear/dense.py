@@ -42,17 +42,17 @@ class DenseRows(Rows):
         self._at = self._voltages_at = b""  # the x of h, and the voltages of H
 
     def predict(self, x: np.ndarray) -> np.ndarray:
-        """See ``Rows``; not to be changed."""
+        """See ``Rows``; the caller must not change the array."""
         self._move_to(x)
         return self._h[: self._n_meas]
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """See ``Rows``; not to be changed."""
+        """See ``Rows``; the caller must not change the array."""
         self._move_to(x)
         return self._H[: self._n_meas]
 
     def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, np.ndarray]:
-        """See ``Rows``; not to be changed."""
+        """See ``Rows``; the caller must not change the array."""
         self._move_to(x)
         place = self._place[neighbour.area]
         return self._h[place], self._H[place]

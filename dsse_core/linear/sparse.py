@@ -29,7 +29,7 @@ class SparseRows(Rows):
         self._boundaries: dict[str, tuple[np.ndarray, sp.csr_array]] = {}
 
     def predict(self, x: np.ndarray) -> np.ndarray:
-        """See ``Rows``; not to be changed."""
+        """See ``Rows``; the caller must not change the array."""
         self._move_to(x)
         if self._h is None:
             own = self._area.model.predict(x[: 2 * self._n])
@@ -37,7 +37,7 @@ class SparseRows(Rows):
         return self._h
 
     def jacobian(self, x: np.ndarray) -> sp.csr_array:
-        """See ``Rows``; not to be changed."""
+        """See ``Rows``; the caller must not change the array."""
         self._move_to(x)
         if self._H is None:
             own = self._area.model.jacobian(x[: 2 * self._n])
@@ -45,7 +45,7 @@ class SparseRows(Rows):
         return self._H
 
     def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, sp.csr_array]:
-        """See ``Rows``; not to be changed."""
+        """See ``Rows``; the caller must not change the array."""
         self._move_to(x)
         if neighbour.area not in self._boundaries:
             self._boundaries[neighbour.area] = self._find_boundary(x, neighbour)

@@ -1,1 +1,1 @@
-"""Linear algebra: the weighted least-squares step in augmented form, sparse and dense, and selected inverses."""
+"""Linear algebra: the weighted least-squares step in augmented form, sparse LU factors, and selected inverses."""

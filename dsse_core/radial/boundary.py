@@ -2,9 +2,9 @@
 
 The message of a neighbour about ``y = (p, q, vm_b, va_b)``, rows ``[P X; 0 N]``, is information about the voltage of
 bus b and a power that leaves it, as a bus passes to its parent in ``kernel``: covariance ``V = (P'P)^-1``, slope ``A =
-P^-1 X``, information ``N'N``. A child's power is a variable of the area; the power in the message of the parent is the
-sum of the powers into the area's own branches, which an exact balance at b says. What this area sends is what is left
-at the root of a tree with b on top.
+P^-1 X``, information ``N'N``. A child's power is a variable of the area. The power in the message of the parent is
+the sum of the powers into the area's own branches, as an exact balance at b states. The area's own message is the
+information left at the root of a tree with b on top.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from dsse_core.radial.kernel import coefficients_of, row_of_branch
 
 @compiled
 def turn_to_radial_order(order, vm, va, v, va_in_order):
-    """Voltages in network order into ``v`` and ``va_in_order`` in tree order."""
+    """Stores the voltages ``vm``, ``va``, in network order, in ``v`` and ``va_in_order``, in tree order."""
     for i in range(len(order)):
         va_in_order[i] = va[order[i]]
         v[i] = scaled(complex(math.cos(va_in_order[i]), math.sin(va_in_order[i])), vm[order[i]])

@@ -127,7 +127,7 @@ def iterate(
 
 @compiled
 def forget_meters(w):
-    """Weights (n, 10) without any meter: see ``absent``."""
+    """Sets ``w`` (n, 10) to the weights without any meter: see ``absent``."""
     for i in range(len(w)):
         for k in range(10):
             w[i, k] = 0.0

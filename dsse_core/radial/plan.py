@@ -68,7 +68,7 @@ class RadialPlan:
         return meter.reshape(-1, N_SLOT)
 
     def take_space(self) -> np.ndarray:
-        """Memory of an iteration; put it back into ``spaces``."""
+        """Returns memory of an iteration, which the caller puts back into ``spaces``."""
         try:
             return self.spaces.pop()
         except IndexError:

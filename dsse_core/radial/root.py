@@ -7,7 +7,7 @@ import math
 from dsse_core.code_cache import compiled
 from dsse_core.radial.block import NOTHING_KNOWN, scaled, solve_blocks, wrap
 
-N_KNOWN = 16  # of a root or an addressee: see describe_root
+N_KNOWN = 16  # numbers of the information about a root or an addressee: see describe_root
 
 
 @compiled

@@ -9,7 +9,10 @@ from dsse_core.code_cache import compiled
 
 @compiled
 def find_order(f, t, top, n):
-    """Rows reached from ``top``, and ``upstream`` (n,), -1 where not reached; see ``radial_order.walk_graph``."""
+    """Rows reached from ``top``, in depth-first order, and ``upstream`` (n,), -1 where a row is not reached.
+
+    Otherwise as ``radial_order.walk_graph``.
+    """
     order, upstream = np.empty(n, dtype=np.int64), np.full(n, -1)
     count = _walk(f, t, top, order, upstream)
     return order[:count], upstream
