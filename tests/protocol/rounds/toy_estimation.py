@@ -30,6 +30,7 @@ class ToyEstimation:
         self.removed = self.critical = self.dead_voltmeters = ()
         self.reported: set[str] = set()
         self.own_meters: frozenset[str] = frozenset()
+        self.before_removal = None
         self.is_first = False
         self.find_term: Callable[[], tuple[int, int]] = lambda: (0, 0)
         self.final: tuple[Part, ...] = ()
