@@ -36,7 +36,7 @@ class FrameLog:
     """A new log at ``path``, locked until it is closed or the process that writes it ends.
 
     Raises:
-        OSError: naming ``path``; where it exists, ``FileExistsError``.
+        OSError: naming ``path``; where it exists, ``FileExistsError``. No new file remains.
     """
 
     def __init__(self, path: Path) -> None:
@@ -45,7 +45,13 @@ class FrameLog:
         with contextlib.suppress(OSError):  # a system of files without locks
             operating_system.lock(self._file)
         self.size = 0
-        self._write(MAGIC)
+        try:
+            self._write(MAGIC)
+        except BaseException:
+            self.close()
+            with contextlib.suppress(OSError):
+                path.unlink()
+            raise
 
     def append(self, bodies: Iterable[bytes]) -> None:
         """Writes the frames of all ``bodies``, or none of them.

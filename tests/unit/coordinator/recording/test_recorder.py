@@ -83,6 +83,28 @@ def test_a_full_disk_loses_what_it_has_no_room_for_and_says_so(tmp_path: Path, m
     assert log.lost == 3
 
 
+def test_a_disk_full_from_the_start_leaves_no_open_file_and_no_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files: list[int] = []
+
+    def refuse(file: int, content: bytes) -> int:
+        files.append(file)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with begin_writing(tmp_path, RUN):
+        log = SegmentLog(tmp_path)
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "write", refuse)
+            log.write([note(AT, "during")])
+        with pytest.raises(OSError, match=os.strerror(errno.EBADF)):
+            os.fstat(files[0])
+        assert not list((tmp_path / LOGS).iterdir())
+        log.write([note(AT, "after")])
+        log.close()
+    assert [entry.key for entry in _written(tmp_path) if isinstance(entry, Entry)] == ["lost", "after"]
+
+
 def test_two_recorders_do_not_write_into_one_folder(tmp_path: Path) -> None:
     with (
         begin_writing(tmp_path, RUN),
