@@ -30,6 +30,8 @@ HARMLESS = re.compile(
     r"|Vbase=mpc\.bus\(1,BASE_KV\)\*1e3|Sbase=mpc\.baseMVA\*1e6"
 )
 QUOTED = re.compile(r"""'(?:[^'\n]|'')*+'|"(?:[^"\n]|"")*+\"""")
+PIECE = re.compile(r"""(?<![\w)\]}'".])'(?:[^'\n]|'')*+'|"(?:[^"\n]|"")*+"|%.*|.""")
+"""A text in quotes, a comment, or any other character of a line; a ' after an operand transposes it."""
 BASE_MVA = re.compile(rf"mpc\.baseMVA=({NUMBER})(?:/({NUMBER}))?")
 CELL = re.compile(rf"({NUMBER})(?:/(?:({NUMBER})|sqrt\(({NUMBER})\)))?")  # 135/sqrt(3) is among them
 POWER_FACTOR = re.compile(rf"pf=({NUMBER})")
@@ -82,19 +84,18 @@ def _split_statements(text: str) -> Iterator[tuple[int, str]]:
             in_comment = raw.strip() == "%{"
         if in_comment:
             continue
-        line = _without_comment(raw)
-        continued = line.rstrip().endswith("...")
-        line = line.rstrip().removesuffix("...")
-        for character in line:
+        pieces = _split_line(raw)
+        continued = pieces[-3:] == ["."] * 3
+        for piece in pieces[:-3] if continued else pieces:
             if is_blank:
                 start = number
-            depth += (character in "[{(") - (character in "]})")
-            if character == ";" and depth == 0:
+            depth += (piece in "[{(") - (piece in "]})")
+            if piece == ";" and depth == 0:
                 yield start, statement
                 statement, is_blank = "", True
             else:
-                statement += character
-                is_blank = is_blank and character.isspace()
+                statement += piece
+                is_blank = is_blank and piece.isspace()
         if depth > 0:
             statement += " " if continued else "\n"
         elif not continued:
@@ -104,15 +105,12 @@ def _split_statements(text: str) -> Iterator[tuple[int, str]]:
         yield start, statement
 
 
-def _without_comment(line: str) -> str:
-    """A line without its comment; a % between quotes starts none."""
-    quoted = False
-    for i, character in enumerate(line):
-        if character == "'":
-            quoted = not quoted
-        if character == "%" and not quoted:
-            return line[:i]
-    return line
+def _split_line(line: str) -> list[str]:
+    """The pieces of a line, each a text in quotes or one character, without its comment and blanks at its end."""
+    pieces = PIECE.findall(line)
+    while pieces and (pieces[-1].startswith("%") or pieces[-1].isspace()):
+        pieces.pop()
+    return pieces
 
 
 def _execute(case: Case, statement: str, line: int) -> None:

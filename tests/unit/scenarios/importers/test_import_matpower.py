@@ -397,3 +397,33 @@ def test_buses_keep_their_names_and_names_that_do_not_count_are_noted(tmp_path: 
     ]
     noted = [remark.text for remark in read(tmp_path, MESHED).remarks if remark.what == "left out"]
     assert noted == ["mpc.bus_name: 2 names of 5 buses say not which is whose"]
+
+
+@pytest.mark.parametrize(
+    ("quoted", "name"),
+    [
+        ("'Bus (1'", "Bus (1"),
+        ("'}; [1'", "}; [1"),
+        ('"50 % of {it"', "50 % of {it"),
+        ('"St. John\'s (%"', "St. John's (%"),
+        ("'5'' % \"wide'", "5' % \"wide"),
+        ("\"5''\"", "5''"),
+    ],
+)
+def test_brackets_and_percent_signs_in_quotes_are_text(tmp_path: Path, quoted: str, name: str) -> None:
+    names = f"mpc.bus_name = {{{quoted}; 'B2'; 'B3'}}; mpc.baseMVA = 20; % of (all\nmpc.foo = [ 1 ];\n"
+    imported = read(tmp_path, DISTRIBUTION + names)
+    assert [bus.name for bus in imported.network.buses] == [name, "B2", "B3"]
+    assert imported.network.bus(2).p_load == pytest.approx(0.1 / 20)
+    assert [remark.text for remark in imported.remarks if remark.what == "left out"] == [
+        "mpc.foo (line 23): a field that is not read; no power flow here needs it"
+    ]
+
+
+@pytest.mark.parametrize("operand", ["b", "f(b)", "[1 2]", "b.", "b'"])
+def test_a_transpose_begins_no_text(tmp_path: Path, operand: str) -> None:
+    text = DISTRIBUTION + f"scale = {operand}'; % one of (two\nscale = 1;\n"
+    transposed, other = problems_of(tmp_path, text)
+    assert transposed.startswith("line 22: ")
+    assert "two" not in transposed
+    assert other.startswith("line 23: 'scale=1' ")
