@@ -61,6 +61,11 @@ class _Register:
     def place(self) -> tuple[int, str]:
         return self.device, self.table
 
+    @property
+    def end(self) -> int:
+        """Number of the register behind the last."""
+        return self.first + self.count
+
 
 @dataclass(frozen=True, slots=True)
 class _Silence:
@@ -92,7 +97,7 @@ class ModbusSource(Source):
         found = ADDRESS.fullmatch(address)
         if found and (found["type"] or "uint16") in TYPES:
             register = _parse(address, 0)
-            if register.device <= LARGEST_DEVICE and register.first + register.count <= REGISTERS:
+            if register.device <= LARGEST_DEVICE and register.end <= REGISTERS:
                 return ""
         return f"TABLE:REGISTER:TYPE, such as holding:100:float32 or 3/input:0:int16; types: {', '.join(TYPES)}"
 
@@ -128,9 +133,9 @@ class ModbusSource(Source):
 
     async def _read_block(self, client: AsyncModbusTcpClient, block: Sequence[_Register], emit: Emit) -> None:
         """Read adjacent registers with one request; where the device rejects it, read each register by itself."""
-        first, last = block[0], block[-1]
+        first = block[0]
         read = client.read_holding_registers if first.table == "holding" else client.read_input_registers
-        count = last.first + last.count - first.first
+        count = max(register.end for register in block) - first.first  # addresses may overlap
         answer = await read(first.first, count=count, device_id=first.device)
         if answer.isError() or len(answer.registers) != count:
             if len(block) > 1:
@@ -157,14 +162,14 @@ def _parse(address: str, device: int) -> _Register:
 def _join(registers: Sequence[_Register]) -> Iterator[list[_Register]]:
     """Blocks of sorted registers without gaps, since a device may have no register between two of the map."""
     block: list[_Register] = []
+    end = 0  # of the block: the furthest of its registers, as addresses may overlap
     for register in registers:
         if block and (
-            register.place != block[-1].place
-            or register.first > block[-1].first + block[-1].count
-            or register.first + register.count - block[0].first > MOST_REGISTERS
+            register.place != block[0].place or register.first > end or register.end - block[0].first > MOST_REGISTERS
         ):
             yield block
             block = []
+        end = max(end, register.end) if block else register.end
         block.append(register)
     if block:
         yield block

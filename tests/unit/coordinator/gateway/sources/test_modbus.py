@@ -159,3 +159,22 @@ def test_registers_without_a_gap_are_one_question() -> None:
         ["input:5"],
         ["2/holding:5:int64"],
     ]
+
+
+def test_a_block_ends_where_the_furthest_of_overlapping_addresses_ends(recorder, reading, run) -> None:
+    addresses = ("holding:0:float64", "holding:1:uint16", "holding:3:uint16")
+    words = [*struct.unpack(">4H", struct.pack(">d", 12.5))]
+    counts = []
+
+    def answer(device: int, count: int) -> list[int]:
+        counts.append(count)
+        return words[:count]
+
+    async def test() -> None:
+        async with devices(answer) as port, reading(make_source(port, *addresses), recorder) as task:
+            await recorder.wait_until(lambda: task.done() or bool(recorder.values_of(addresses[-1])))
+
+    run(test())
+    assert set(counts) == {4}
+    assert [recorder.values_of(address)[0] for address in addresses] == [12.5, words[1], words[3]]
+    assert recorder.rejected == []
