@@ -151,7 +151,7 @@ def _numbers_of(area: AreaView, state: StateMessage | None) -> dict[str, float]:
         known |= {
             "scan": area.scan,
             "telemetry_age_seconds": area.telemetry_age_s,
-            "oldest_reading_seconds": state.oldest_reading,
+            "oldest_reading_seconds": area.oldest_reading_s,
             "incarnation_start_seconds": state.header.incarnation.start_ms / 1000,
             "removed_meters": len(area.removed),
             "meters_off": len(state.meters_off),

@@ -22,7 +22,7 @@ from coordinator import http_front
 from coordinator.http_front import Front
 from coordinator.listen import parse_listen
 from coordinator.metrics import page as page_module
-from coordinator.metrics.collect import LOOKED_LATELY_S
+from coordinator.metrics.collect import LOOKED_LATELY_S, RunCollector, Sight
 from coordinator.metrics.page import MetricsPage
 from coordinator.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
@@ -80,8 +80,9 @@ def test_an_area_with_a_fresh_state_is_ready_and_its_numbers_are_there(page: Met
     watcher = Watcher("run")
     watcher.take_presence(ALIVE, True)
     watcher.take_presence(GATEWAY, True)
-    watcher.take_state(state, time.monotonic())
-    page.show(watcher, time.monotonic(), "")
+    now = time.monotonic()
+    watcher.take_state(state, now)
+    page.show(watcher, now, "")
     assert ask(page, "/health")[0] == ask(page, "/ready")[0] == 200
     found = numbers(page)
     assert found["dsse_area_quality", "area1", "good"] == 1.0
@@ -95,6 +96,16 @@ def test_an_area_with_a_fresh_state_is_ready_and_its_numbers_are_there(page: Met
     assert found["dsse_area_rejected_total", "area1", "not for us"] == 7
     assert found["dsse_area_clock_skew_seconds", "area1", "area2"] == 3.1
     assert found["dsse_process_present", "sub", "gateway"] == found["dsse_gateways_alive",] == 1.0
+
+
+def test_all_ages_grow_while_an_area_is_silent():
+    watcher = Watcher("run")
+    watcher.take_state(a_state(telemetry_age=2.0, ages={"area2": 3.0}, oldest_reading=61.0), 0.0)
+    collector = RunCollector()
+    collector.sight = Sight(5.0, watcher.look(5.0), watcher.states, "")
+    found = {sample.name: sample.value for metric in collector.collect() for sample in metric.samples}
+    ages = {"state_age": 5.0, "telemetry_age": 7.0, "neighbour_age": 8.0, "oldest_reading": 66.0}
+    assert {name: found[f"dsse_area_{name}_seconds"] for name in ages} == ages
 
 
 @pytest.mark.parametrize(
