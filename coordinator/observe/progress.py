@@ -12,7 +12,11 @@ UPDATE_S = 0.1  # of wall time between two updates
 
 @dataclass(frozen=True, slots=True)
 class AreaProgress:
-    """Progress of one area. Mismatches: the largest with a neighbour at a boundary bus, p.u. and rad, or None."""
+    """Progress of one area.
+
+    Mismatches: the largest at a boundary bus with a neighbour on the same scan, p.u. and rad; of angles that count from
+    the substation. None where there is none.
+    """
 
     name: str
     state: str
@@ -45,26 +49,38 @@ def _describe_area(observer: Observer, name: str, alive: bool) -> AreaProgress:
     if state is None:
         return AreaProgress(name, "joined" if alive else "starting", 0, 0, None, None, 0, 0)
     mismatches = _find_mismatches(observer, name)
-    agrees = all(va <= observer.tolerance_va for _, va in mismatches)
+    agrees = all(va is not None and va <= observer.tolerance_va for _, va in mismatches)
     return AreaProgress(
         name=name,
         state=_describe_state(state, agrees) if alive else "gone",
         scan=state.header.scan,
         exchanges=count_exchanges(state),
-        mismatch_vm=max((vm for vm, _ in mismatches), default=None),
-        mismatch_va=max((va for _, va in mismatches), default=None),
+        mismatch_vm=max((vm for vm, _ in mismatches if vm is not None), default=None),
+        mismatch_va=max((va for _, va in mismatches if va is not None), default=None),
         messages=state.messages,
         lost=state.lost,
     )
 
 
-def _find_mismatches(observer: Observer, name: str) -> list[tuple[float, float]]:
-    """Differences of magnitude and angle at boundary buses with neighbours that have an estimate, p.u. and rad."""
-    if not observer.states[name].buses:
+def _find_mismatches(observer: Observer, name: str) -> list[tuple[float | None, float | None]]:
+    """Differences of magnitude and angle at boundary buses with neighbours that have an estimate, p.u. and rad.
+
+    Both are None where the scans differ; the angle is None unless the angles of both areas count from the substation.
+    """
+    own = observer.states[name]
+    if not own.buses:
         return []
-    boundaries = observer.partition.area(name).boundaries
-    shown = [other for other in boundaries if other in observer.states and observer.states[other].buses]
-    return [observer.mismatch_at(bus, name, other) for other in shown for bus in boundaries[other].buses]
+    found: list[tuple[float | None, float | None]] = []
+    for other, boundary in observer.partition.area(name).boundaries.items():
+        theirs = observer.states.get(other)
+        if theirs is None or not theirs.buses:
+            continue
+        for bus in boundary.buses:
+            vm, va = observer.mismatch_at(bus, name, other)
+            is_of_scan = theirs.header.scan == own.header.scan
+            is_referenced = own.referenced and theirs.referenced
+            found.append((vm if is_of_scan else None, va if is_of_scan and is_referenced else None))
+    return found
 
 
 def _describe_state(state: StateMessage, agrees: bool) -> str:

@@ -24,8 +24,9 @@ class AreaView:
 
     ``lowest_vm``, ``highest_vm``: of its buses, p.u.; None without an estimate. ``worst_meter``: the one of the
     largest normalised residual; None where none is known.
-    ``mismatch_vm_pu``, ``mismatch_va_deg``: the largest differences to a neighbour at a bus that both publish, None
-    where there is none. ``neighbours``: those that it sends to. ``age_s``: None if no state was received.
+    ``mismatch_vm_pu``, ``mismatch_va_deg``: the largest differences to a neighbour at a bus that both publish for the
+    same scan, of angles that count from the substation; None where there is none. ``neighbours``: those that it sends
+    to. ``age_s``: None if no state was received.
     ``leave_reason``: of its leave message, empty if it died. ``silent``: no state for longer than ``silent_after_s``,
     even if its token is present. ``said_quality``: the quality that it published (docs/explanation/quality.md);
     ``quality``: the same, but stale once it is gone or silent. ``telemetry_age_s``, ``oldest_reading_s`` and ``ages_s``

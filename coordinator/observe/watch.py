@@ -252,7 +252,7 @@ class Watcher:
             checked=state.checked,
             neighbours=tuple(state.sent),
             mismatch_vm_pu=max((vm for vm, _ in mismatches), default=None),
-            mismatch_va_deg=max((math.degrees(va) for _, va in mismatches), default=None),
+            mismatch_va_deg=max((math.degrees(va) for _, va in mismatches if va is not None), default=None),
             exchanges=count_exchanges(state),
             messages=state.messages,
             bytes=state.bytes,
@@ -266,17 +266,21 @@ class Watcher:
             next_split=state.next_split.digest,
         )
 
-    def _mismatch(self, state: StateMessage, other: str) -> tuple[float, float] | None:
-        """The largest differences of magnitude and angle between an area and a neighbour, p.u. and rad."""
+    def _mismatch(self, state: StateMessage, other: str) -> tuple[float, float | None] | None:
+        """The largest differences of magnitude and angle between an area and a neighbour, p.u. and rad.
+
+        None unless the two have estimates of the same scan with a common bus. The angle is None unless the angles of
+        both count from the substation.
+        """
         theirs = self._received[other][1] if other in self._received else None
         shared = set(state.buses) & set(theirs.buses) if theirs else set()
-        if theirs is None or not shared:
+        if theirs is None or not shared or theirs.header.scan != state.header.scan:
             return None
         pairs = [(state.buses.index(bus), theirs.buses.index(bus)) for bus in shared]
-        return (
-            max(abs(state.vm[i] - theirs.vm[j]) for i, j in pairs),
-            max(abs(math.remainder(state.va[i] - theirs.va[j], 2 * math.pi)) for i, j in pairs),
-        )
+        vm = max(abs(state.vm[i] - theirs.vm[j]) for i, j in pairs)
+        if not (state.referenced and theirs.referenced):
+            return vm, None
+        return vm, max(abs(math.remainder(state.va[i] - theirs.va[j], 2 * math.pi)) for i, j in pairs)
 
 
 def _copy(kept: Any) -> Any:

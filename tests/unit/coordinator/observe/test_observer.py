@@ -245,6 +245,18 @@ def test_progress_shows_state_and_mismatch_of_every_area():
     assert progress.obstacles == ("area2 adjusts",)
 
 
+def test_progress_compares_no_relative_angles_and_no_different_scans():
+    moved = shifted(a_state("area2"), vm=0.01, va=0.1)
+    relative = describe_progress(watch(replace(moved, referenced=False)), 1.5, ())
+    later = describe_progress(watch(with_scan(moved, 2)), 1.5, ())
+    neighbours = {"area2", *(neighbour.area for neighbour in PARTITION.area("area2").neighbours)}
+    for progress, vm in ((relative, pytest.approx(0.01)), (later, None)):
+        by_name = {area.name: area for area in progress.areas}
+        assert by_name["area2"].mismatch_va is None
+        assert by_name["area2"].mismatch_vm == vm
+        assert "agrees" not in {by_name[name].state for name in neighbours}
+
+
 def test_after_a_fault_every_area_must_have_been_received_again():
     observer = watch()
     assert not observer.standing(5 * HEARTBEAT_S).obstacles

@@ -100,6 +100,26 @@ def test_mismatches_are_the_largest_to_a_neighbour_at_a_bus_that_both_show():
     assert seen(watcher, 0.0).mismatch_vm_pu == pytest.approx(0.03)
 
 
+@pytest.mark.parametrize("relative", ["area1", "area2"])
+def test_relative_angles_have_no_mismatch(relative: str):
+    watcher = Watcher("run")
+    for area, va in (("area1", 0.0), ("area2", 2.0)):
+        sent = {"area2": (1, 1)} if area == "area1" else {}
+        changes = {"sent": sent, "va": (va,), "vm": (1.0 + va / 100,), "referenced": area != relative}
+        watcher.take_state(published_by(area, Incarnation(1, 1), **changes), 0.0)
+    area = seen(watcher, 0.0)
+    assert (area.mismatch_vm_pu, area.mismatch_va_deg) == (pytest.approx(0.02), None)
+
+
+def test_states_of_different_scans_have_no_mismatch():
+    watcher = Watcher("run")
+    watcher.take_state(published_by("area1", Incarnation(1, 1), sent={"area2": (1, 1)}), 0.0)
+    state = published_by("area2", Incarnation(1, 1), vm=(1.02,), va=(2.0,))
+    watcher.take_state(replace(state, header=replace(state.header, scan=2)), 0.0)
+    area = seen(watcher, 0.0)
+    assert (area.mismatch_vm_pu, area.mismatch_va_deg) == (None, None)
+
+
 @pytest.mark.parametrize("name", ["a/*", "**", "", "IEEE33"])
 def test_a_run_to_watch_is_a_name_and_no_pattern(name: str):
     with pytest.raises(InvalidInputError, match="may only contain"):
