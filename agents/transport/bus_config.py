@@ -90,7 +90,7 @@ def at_once(endpoints: Sequence[str], timeout_s: float) -> dict[str, Any]:
     """The section that connects to the first of ``endpoints`` that answers, or fails after ``timeout_s``."""
     return {
         "endpoints": list(endpoints),
-        "timeout_ms": int(timeout_s * 1000),
+        "timeout_ms": max(1, int(timeout_s * 1000)),  # Zenoh waits for ever where it is negative
         "exit_on_failure": True,
         "retry": RETRY,
     }
