@@ -12,6 +12,8 @@ with n the number of readings that are multiplied: the density of z is that of f
 variables. Where standard deviations grow with f, the density is divided by the growth of these standard deviations,
 joined with those of the loads. Beside f = 1 stands "something else": all standard deviations are wrong by one factor,
 the likeliest one. Then N residuals have log p = -N/2 (1 + log(M_1 / N)). So a mistake is only found where it fits.
+Beside a factor above 1 stands that the standard deviations, not the readings, have the wrong unit. Otherwise sound
+readings that are far more exact than stated would pass for too small ones.
 
 The information of neighbours may rest on a wrong gateway of theirs: two sides of opposite sign contradict each other,
 and a change of either side mends it. So the smaller of the evidence with and without their information counts.
@@ -153,7 +155,13 @@ class GatewayTest:
         reference = max(-least / 2, -n / 2 * (1 + math.log(max(least / n, 1.0))))
         for factor, hypothesis in by_factor.items():
             if at_most[factor] > 0:
-                found[factor] = jacobians[factor] - rows.solve(hypothesis, start, received) / 2 - reference
+                other = reference
+                if abs(factor) > 1:
+                    exact = rows.join(z, np.where(multiplied, sigma / abs(factor), sigma))
+                    density = rows.count_apart(multiplied, n_known) * math.log(abs(factor))
+                    density += (stated.spread - exact.spread) / 2
+                    other = max(other, density - rows.solve(exact, start, received) / 2)
+                found[factor] = jacobians[factor] - rows.solve(hypothesis, start, received) / 2 - other
         if received and max(found.values()) > 0:
             alone = self.weigh(readings, of_gateway, None, {})
             return {factor: min(ratio, alone[factor]) for factor, ratio in found.items()}
@@ -230,6 +238,11 @@ class _Rows:
             (m.kind, m.branch) for m, is_one in zip(self.meters, multiplied, strict=True) if is_one and m.branch
         }
         return min(n_known, max(int((multiplied & self._is_injection).sum()), len(at_branches)))
+
+    def count_apart(self, multiplied: np.ndarray, n_known: int) -> int:
+        """Number of readings that count in the Jacobian of a factor above 1 and are joined with no expected load."""
+        n_joined = int(multiplied[self._joined].sum())
+        return max(0, self.count(multiplied, math.inf, n_known) - n_joined)
 
     def find_misfit(self, hypothesis: _Hypothesis, x: np.ndarray, received: Received) -> float:
         """M at ``x``; virtual measurements hold exactly and do not count."""
