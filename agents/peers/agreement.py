@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from agents.messages.packing import HeartbeatMessage, Incarnation, LoadMessage, Message
@@ -21,6 +21,7 @@ class Agreement:
         self._strategy = strategy
         self._kinds = frozenset(kinds)
         self._in_file: dict[str, str] = {}
+        self._of_variables: dict[str, str] = {}
         self._of_other_strategy: dict[str, Incarnation] = {}
 
     def find_contradiction(self, message: Message) -> str:
@@ -32,9 +33,11 @@ class Agreement:
             self._of_other_strategy.pop(name, None)
         elif not isinstance(message, LoadMessage):
             self._of_other_strategy[name] = incarnation
+        if (variables := getattr(message, "variables", None)) is not None:
+            self._of_variables[name] = compare_variables(self._area, name, variables)
         if self._of_other_strategy.get(name) == incarnation:
             return f"strategy is {self._strategy!r} here and another in the area file of {name}; correct one of them"
-        return self._in_file.get(name, "")
+        return self._in_file.get(name, "") or self._of_variables.get(name, "")
 
 
 def describe_boundary(area: Area, name: str) -> dict[str, Any]:
@@ -45,6 +48,19 @@ def describe_boundary(area: Area, name: str) -> dict[str, Any]:
         "areas": area.n_areas,
         "base_mva": area.network.base_mva,
     }
+
+
+def compare_variables(area: Area, name: str, found: Sequence[str]) -> str:
+    """Returns the contradiction between the variables of a boundary in ``area`` and those ``found`` in a message of
+    neighbour ``name``, and the keys to correct; or "".
+    """
+    own = area.boundaries[name].names
+    if tuple(found) == own:
+        return ""
+    return (
+        f"the boundary has the variables {', '.join(own)} here and {', '.join(found)} in the area file of {name}; "
+        "correct neighbour.is_parent, neighbour.bus or neighbour.variables in one of the two area files"
+    )
 
 
 def find_contradiction(area: Area, message: HeartbeatMessage) -> str:

@@ -29,6 +29,7 @@ FAR_SCAN = "scan far ahead of the telemetry"  # another
 OTHER_STRATEGY = "other strategy"  # another
 OTHER_BUS = "other boundary bus"  # another
 BEYOND = "numbers beyond reason"  # another
+OTHER_VARIABLES = "other boundary variables"
 CONTRADICTION = "contradicts the area file"  # another
 FOR_OTHERS = (StateMessage, ReadingsMessage, CommandMessage, ClockMessage)  # kinds that no neighbour sends to an area
 
@@ -115,7 +116,7 @@ def find_rejection(message: Message, key_sender: str, content: Configuration, no
         return OTHER_BUS
     names = content.area.boundaries[header.sender].names
     if getattr(message, "variables", names) != names:
-        return "other boundary variables"
+        return OTHER_VARIABLES
     return find_unreasonable(message)
 
 

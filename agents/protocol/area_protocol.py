@@ -36,6 +36,7 @@ from agents.peers.rejections import (
     FUTURE,
     OTHER_BUS,
     OTHER_STRATEGY,
+    OTHER_VARIABLES,
     Rejections,
     find_rejection,
 )
@@ -280,7 +281,7 @@ class AreaProtocol(ABC):
         reason = find_rejection(message, key_sender, self._content, wall)
         if reason in ("", OTHER_BUS):
             self._splits.take(message)
-        if not reason and not isinstance(message, TelemetryMessage):
+        if reason in ("", OTHER_VARIABLES) and not isinstance(message, TelemetryMessage):
             self._rejections.note_contradiction(key_sender, self._agreement.find_contradiction(message))
         if not reason and message.kind not in self._kinds:
             reason = OTHER_STRATEGY
