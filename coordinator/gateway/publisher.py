@@ -18,7 +18,8 @@ RATE = 16 * 2**20  # bytes per second for one area: a larger message delays the 
 class Publisher:
     """Publishes all that ``intake`` has of an area as one message, after a change and at ``repeats_s``.
 
-    A change waits until ``least_interval_s`` has passed since the last message; readings in between are superseded.
+    A message waits until ``least_interval_s`` has passed since the last one; readings in between are superseded. An
+    area has one timer at most: of its waiting change, else of the next repeat.
     ``send``: area -> puts a payload on its key. ``scan_s``: interval of scans, None where there are none.
     """
 
@@ -45,6 +46,7 @@ class Publisher:
     def publish_soon(self, area: str) -> None:
         """Publish ``area`` as soon as the interval is over, with all readings that arrive until then."""
         if area not in self._timers and area in self.send:
+            self._cancel_timers(area)
             wait_s = self._allowed.get(area, 0.0) - self._loop.time()
             self._timers[area] = self._loop.call_later(max(0.0, wait_s), self._publish, area, 0)
 
@@ -57,9 +59,7 @@ class Publisher:
 
     def _publish(self, area: str, repeats: int | None) -> None:
         """Send the message of ``area``; ``repeats``: index in ``repeats_s`` of the wait before a repeat, None: none."""
-        self._timers.pop(area, None)
-        if (last := self._repeats.pop(area, None)) is not None:
-            last.cancel()
+        self._cancel_timers(area)
         if self.intake.take_waiting(area):
             self._sequence += 1
             self._of_area[area] = self._sequence
@@ -68,10 +68,17 @@ class Publisher:
         payload = encode(self.message(area))
         self.send[area](payload)
         self.intake.counts.messages += 1
-        self._allowed[area] = self._loop.time() + max(self.least_interval_s, len(payload) / RATE)
+        interval_s = max(self.least_interval_s, len(payload) / RATE)
+        self._allowed[area] = self._loop.time() + interval_s
         if repeats is not None:
             following = min(repeats + 1, len(self.repeats_s) - 1)
-            self._repeats[area] = self._loop.call_later(self.repeats_s[repeats], self._publish, area, following)
+            wait_s = max(self.repeats_s[repeats], interval_s)
+            self._repeats[area] = self._loop.call_later(wait_s, self._publish, area, following)
+
+    def _cancel_timers(self, area: str) -> None:
+        for timers in (self._timers, self._repeats):
+            if (timer := timers.pop(area, None)) is not None:
+                timer.cancel()
 
     def message(self, area: str) -> TelemetryMessage:
         """The message with all readings of ``area``, stamped with the current time."""

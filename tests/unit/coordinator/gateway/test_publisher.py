@@ -6,6 +6,7 @@ import asyncio
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import pytest
 
@@ -125,3 +126,61 @@ def test_of_a_gateway_that_leads_all_messages_of_a_scan_say_the_same(two_meters:
     assert max(map(len, by_scan.values())) > 1
     for messages in by_scan.values():
         assert len({(message.header.sequence, message.values) for message in messages}) == 1
+
+
+@dataclass
+class Timer:
+    at: float
+    call: Callable[[], None]
+    cancelled: bool = False
+
+    def cancel(self) -> None:
+        self.cancelled = True
+
+
+@dataclass
+class Timeline:
+    """The part of a loop that a publisher uses, on a time that only ``run_until`` moves."""
+
+    now: float = 0.0
+    timers: list[Timer] = field(default_factory=list)
+
+    def time(self) -> float:
+        return self.now
+
+    def call_later(self, wait_s: float, call: Callable[..., None], *args: object) -> Timer:
+        self.timers.append(Timer(self.now + wait_s, lambda: call(*args)))
+        return self.timers[-1]
+
+    def pending(self) -> list[Timer]:
+        return sorted((timer for timer in self.timers if not timer.cancelled), key=lambda timer: timer.at)
+
+    def run_until(self, end: float) -> None:
+        while (pending := self.pending()) and pending[0].at <= end:
+            self.timers.remove(pending[0])
+            self.now = max(self.now, pending[0].at)
+            pending[0].call()
+        self.now = end
+
+
+@pytest.fixture
+def timeline(monkeypatch: pytest.MonkeyPatch) -> Timeline:
+    found = Timeline()
+    monkeypatch.setattr(asyncio, "get_running_loop", lambda: found)
+    return found
+
+
+def test_neither_a_change_nor_a_repeat_is_sent_before_the_least_interval_is_over(
+    two_meters: GatewayMap, timeline: Timeline
+) -> None:
+    intake, _, sent = make(two_meters, least_interval_s=5.0, repeats_s=(1.0, 10.0))
+    times: list[float] = []
+    for end in range(40):
+        timeline.run_until(end)
+        if end in (1, 3, 9):
+            intake("U1", 12.6 + end / 100)
+            timeline.run_until(end)
+        times += [timeline.now] * (len(sent) - len(times))
+        assert len(timeline.pending()) <= 1
+    assert times == [1, 6, 11, 16, 26, 36]  # the last three are repeats
+    assert [message.header.sequence for message in sent] == [1, 2, 3, 3, 3, 3]
