@@ -112,7 +112,7 @@ class LeadingPublisher(Publisher):
     It repeats this snapshot every ``repeats_s[0]`` until the next scan.
     """
 
-    _scan: int = 0
+    _scan: int = -1  # number of the scan whose snapshot is sent; none yet
     _messages: dict[str, TelemetryMessage] = field(default_factory=dict)
 
     def start(self) -> None:
@@ -131,14 +131,20 @@ class LeadingPublisher(Publisher):
     def _begin_scan(self) -> None:
         assert self.scan_s is not None  # as the map was checked
         now = time.time()
-        self._scan = int(now // self.scan_s)
+        scan = int(now // self.scan_s)
+        if scan != self._scan:  # else the timer, on the loop's clock, was early by the wall clock
+            self._scan = scan
+            self._take_snapshot()
+            self._repeat()
+        self._timers["scan"] = self._loop.call_later((self._scan + 1) * self.scan_s - now, self._begin_scan)
+
+    def _take_snapshot(self) -> None:
         self._sequence += 1
         for area in self.send:
             self.intake.take_waiting(area)
             self._of_area[area] = self._sequence
-            self._messages[area] = self.message(area)
-        self._repeat()
-        self._timers["scan"] = self._loop.call_later((self._scan + 1) * self.scan_s - now, self._begin_scan)
+            message = self.message(area)
+            self._messages[area] = replace(message, header=replace(message.header, scan=self._scan))
 
     def _repeat(self) -> None:
         if (timer := self._timers.pop("repeat", None)) is not None:

@@ -184,3 +184,22 @@ def test_neither_a_change_nor_a_repeat_is_sent_before_the_least_interval_is_over
         assert len(timeline.pending()) <= 1
     assert times == [1, 6, 11, 16, 26, 36]  # the last three are repeats
     assert [message.header.sequence for message in sent] == [1, 2, 3, 3, 3, 3]
+
+
+def test_a_scan_is_published_once_although_the_wall_clock_is_slower_than_the_loop(
+    two_meters: GatewayMap, timeline: Timeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(time, "time", lambda: 100.1 + 0.8 * timeline.now)
+    _, _, sent = make(two_meters, LeadingPublisher, scan_s=0.5, repeats_s=(1000.0,))
+    timeline.run_until(2.2)
+    assert [message.header.scan for message in sent] == [200, 201, 202, 203]
+
+
+def test_all_areas_get_a_scan_under_one_number_although_it_ends_meanwhile(
+    two_meters: GatewayMap, timeline: Timeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = iter((100.4, *(100.6 for _ in range(100))))
+    monkeypatch.setattr(time, "time", lambda: next(clock))
+    _, _, sent = make(two_meters, LeadingPublisher, scan_s=0.5, repeats_s=(1000.0,))
+    timeline.run_until(0.15)
+    assert [message.header.scan for message in sent] == [200, 201]
