@@ -113,6 +113,7 @@ def estimate_batch(
         from dsse_core.radial.lanes import LANES
 
         share_out(len(rows.values), rows.fit_threads(threads), rows.compiled, together=LANES)
+        rows.put_back_spaces()
     else:
         share_out(len(rows.values), threads, rows.alone)
     failures = {k: rows.failures[k] for k in sorted(rows.failures)}
@@ -121,7 +122,10 @@ def estimate_batch(
 
 @dataclass(frozen=True)
 class _Rows:
-    """Input and output arrays of a batch; ``starts`` (n_row, 1 or 0, 2, n_bus), ``limits`` of J (n_row,)."""
+    """Input and output arrays of a batch; ``starts`` (n_row, 1 or 0, 2, n_bus), ``limits`` of J (n_row,).
+
+    ``spaces``: memory that threads have taken from the radial plan.
+    """
 
     plan: EstimationPlan
     values: np.ndarray
@@ -136,6 +140,7 @@ class _Rows:
     iterations: np.ndarray
     failures: dict[int, RowFailure]
     plans: dict[bytes, EstimationPlan]
+    spaces: list[np.ndarray]
 
     @classmethod
     def of(
@@ -170,7 +175,7 @@ class _Rows:
         numbers, place = np.unique(left, return_inverse=True)
         limits = np.array([chi_square_limit(number, CONFIDENCE) for number in numbers.tolist()])[place]
         found = vm, va, objective, iterations
-        return cls(plan, values, sigmas, starts, tolerance, left, limits, *found, {}, {})
+        return cls(plan, values, sigmas, starts, tolerance, left, limits, *found, {}, {}, [])
 
     def fit_threads(self, threads: int) -> int:
         """Number of threads to use: for rows side by side at most as many as fit into CACHE_BYTES, one at least."""
@@ -189,12 +194,15 @@ class _Rows:
         return alike and len(self.values) >= LANES and len(self.plan.network.buses) <= MOST_BUSES
 
     def compiled(self) -> Callable[[int, int], None]:
-        """Function that estimates rows in compiled code, and alone those that fail there; with memory of its own."""
+        """Function that estimates rows in compiled code, and alone those that fail there; with memory of its own, until
+        ``put_back_spaces``.
+        """
         from dsse_core.radial import rows as radial_rows  # numba, loaded when the plan was built
 
         plan = self.plan.radial
         assert isinstance(plan, RadialPlan)
         space, lanes = plan.take_space(), self._lanes(plan)
+        self.spaces.append(space)
         of_plan = plan.parent, plan.level, plan.admittance, plan.no_load_admittance, plan.order, plan.slot
         options = plan.has_currents, float(self.tolerance), MOST_STEPS
 
@@ -210,6 +218,12 @@ class _Rows:
                 self._do_alone(first + k)
 
         return do
+
+    def put_back_spaces(self) -> None:
+        """Puts the memory of all threads, which have ended, back into the radial plan for the next scans."""
+        plan = self.plan.radial
+        assert isinstance(plan, RadialPlan)
+        plan.spaces.extend(self.spaces)
 
     def _lanes(self, plan: RadialPlan) -> np.ndarray:
         """Memory of rows side by side; empty where each row is done by itself."""

@@ -47,25 +47,27 @@ def estimate_radial(
     compiled, n = _load_compiled(), len(plan.order)
     state, residual, space = np.empty((2, n)), np.empty(len(values)), plan.take_space()
     limit = chi_square_limit(len(values) - (2 * n - 1), CONFIDENCE)
-    while True:
-        v, va = _begin_at(plan, None if memory.from_flat_start else start)
-        options = float(tolerance), most_steps(memory), limit
-        if threads > 1:
-            scan = exact, values, sigmas
-            end, steps, step, objective = estimate_on_threads(
-                plan, *scan, space, v, va, *options, state, residual, threads
-            )
-        else:
-            end, steps, step, objective = compiled.estimate(
-                plan.parent, plan.level, plan.admittance, plan.order, plan.meter, exact, v, va,
-                plan.has_currents, *options, values, sigmas, space, state, residual,
-            )  # fmt: skip
-        if end == compiled.UNUSABLE:
-            check_readings(plan.network, plan.meters, values, sigmas)
-        if end != LOST or memory.from_flat_start:
-            break
-        memory = begin_at_flat_start(replace(memory, steps=steps))
-    plan.spaces.append(space)
+    try:
+        while True:
+            v, va = _begin_at(plan, None if memory.from_flat_start else start)
+            options = float(tolerance), most_steps(memory), limit
+            if threads > 1:
+                scan = exact, values, sigmas
+                end, steps, step, objective = estimate_on_threads(
+                    plan, *scan, space, v, va, *options, state, residual, threads
+                )
+            else:
+                end, steps, step, objective = compiled.estimate(
+                    plan.parent, plan.level, plan.admittance, plan.order, plan.meter, exact, v, va,
+                    plan.has_currents, *options, values, sigmas, space, state, residual,
+                )  # fmt: skip
+            if end == compiled.UNUSABLE:
+                check_readings(plan.network, plan.meters, values, sigmas)
+            if end != LOST or memory.from_flat_start:
+                break
+            memory = begin_at_flat_start(replace(memory, steps=steps))
+    finally:
+        plan.spaces.append(space)
     if end == LOST:
         is_far = steps < most_steps(memory) and step <= LARGEST_STEP
         weighted = abs(residual) / np.where(sigmas > 0, sigmas, np.inf)

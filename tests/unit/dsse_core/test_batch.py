@@ -318,3 +318,20 @@ def test_rows_side_by_side_go_to_as_many_threads_as_have_room_in_the_cache(case,
     estimate_batch(plan, values, sigmas, threads=4)
     estimate_batch(plan, values, np.tile(sigmas, (16, 1)), threads=4)  # row by row
     assert asked == [2, 1, 4]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_memory_of_the_tree_goes_back_to_the_plan_for_the_next_scan(case, threads):
+    pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
+    plan, values, sigmas = scans_of(case("ieee33"), "radial", 16)
+    alone = estimate_with_plan(plan, values[0], sigmas)
+    (kept,) = plan.radial.spaces
+    estimate_batch(plan, values, sigmas, threads=threads)
+    assert len(plan.radial.spaces) in range(1, threads + 1)
+    assert any(space is kept for space in plan.radial.spaces)
+    number = len(plan.radial.spaces)
+    with pytest.raises(InvalidInputError):
+        estimate_with_plan(plan, np.full_like(values[0], np.nan), sigmas, threads=threads)
+    assert len(plan.radial.spaces) == number
+    again = estimate_with_plan(plan, values[0], sigmas)
+    np.testing.assert_array_equal(again.vm, alone.vm)
