@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from typing import Any
 
 from dsse_core.printable import listed, printable, printable_lines, shortened_inside
 
@@ -21,6 +22,17 @@ class DsseError(Exception):
         return "\n".join(
             shortened_inside(line, LONGEST_LINE) for line in printable_lines(super().__str__()).split("\n")
         )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """The text and the attributes, from which the error is restored in another process without ``__init__``, whose
+        arguments differ from class to class.
+        """
+        return _restore, (type(self), self.args), self.__dict__
+
+
+def _restore(kind: type[DsseError], args: tuple[Any, ...]) -> DsseError:
+    """An error of class ``kind`` as before its attributes are set."""
+    return kind.__new__(kind, *args)
 
 
 class InvalidInputError(DsseError):

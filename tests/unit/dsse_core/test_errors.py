@@ -2,7 +2,35 @@
 
 from __future__ import annotations
 
-from dsse_core.errors import LONGEST_LINE, MOST_SHOWN, InvalidInputError, NotObservableError
+import copy
+import pickle
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import pytest
+
+from dsse_core import errors
+from dsse_core.errors import (
+    LONGEST_LINE,
+    MOST_SHOWN,
+    DsseError,
+    EstimationDivergedError,
+    InvalidInputError,
+    NotObservableError,
+    PowerFlowDivergedError,
+)
+from dsse_core.files.kinds import AREA_FILE, SCENARIO_FILE
+from dsse_core.files.strict_table import OtherKindError
+
+ERRORS = [
+    DsseError("no area answers"),
+    InvalidInputError("scenario.toml", ["buses[1].vm: found 0; give a voltage", "key: unknown key"]),
+    PowerFlowDivergedError("ieee33", 18, 0.25, 30),
+    NotObservableError([3, 4], ["vm@3"], ["p@4 = 0"]),
+    EstimationDivergedError(50, 0.5, "check vm@3", "vm@3", "out of reach"),
+    OtherKindError(Path("grid.toml"), AREA_FILE, SCENARIO_FILE),
+]
 
 
 def test_a_hundred_thousand_problems_do_not_fill_the_terminal():
@@ -31,3 +59,28 @@ def test_a_feeder_without_meters_does_not_name_a_million_buses():
     text = str(NotObservableError(range(1_000_000), [f"vm@{i}" for i in range(1000)]))
     assert len(text) < LONGEST_LINE
     assert "98, 99 and 999900 more; any one of these added meters would cure it: vm@0; vm@1" in text
+
+
+def test_all_classes_of_errors_are_pickled_below():
+    classes = {kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, Exception)}
+    assert classes <= {type(error) for error in ERRORS}
+
+
+def test_an_error_reaches_the_parent_of_its_worker_process():
+    error = InvalidInputError("scenario.toml", ["key: unknown key"])
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool, pytest.raises(InvalidInputError, match="unknown key"):
+        pool.submit(_raise, error.what, error.problems).result()
+
+
+def _raise(what, problems):
+    raise InvalidInputError(what, problems)
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+def test_an_error_of_a_worker_process_arrives_whole(error, protocol):
+    for restored in (pickle.loads(pickle.dumps(error, protocol)), copy.copy(error)):
+        assert type(restored) is type(error)
+        assert str(restored) == str(error)
+        assert restored.args == error.args
+        assert vars(restored) == vars(error)
