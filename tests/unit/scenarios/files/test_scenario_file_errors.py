@@ -208,9 +208,24 @@ def test_an_area_in_pieces_is_named(tmp_path: Path) -> None:
     assert any("area area3 is not connected" in p for p in problems)
 
 
+def test_a_branch_that_two_areas_list_is_named(tmp_path: Path) -> None:
+    problem = the_only(problems_of(tmp_path, changed("27, 26, 6]", "27, 26, 6, 5]")))
+    assert problem == (
+        "areas: areas area1, area3 all list both ends of branch 5-6; leave bus 5 or 6 out of all but one of them"
+    )
+
+
 def test_a_loop_of_areas_is_named(tmp_path: Path) -> None:
-    problems = problems_of(tmp_path, changed("27, 26, 6]", "27, 26, 6, 5]"))
-    assert any("loop" in p and "area1" in p and "area3" in p for p in problems)
+    """The tie 18-33 is closed, so that area2 and area3, both children of area1 at bus 6, meet again at bus 33."""
+    tie, is_open = "from = 18, to = 33, r_ohm = 0.5, x_ohm = 0.5", ", in_service = false"
+    network = find_shipped("cases")["ieee33"].read_text(encoding="utf-8")
+    assert network.count(tie + is_open) == 1
+    (tmp_path / "meshed.toml").write_text(network.replace(tie + is_open, tie), encoding="utf-8")
+    text = changed('network = "ieee33"', 'network = "meshed.toml"').replace("8, 7, 6]", "8, 7, 6, 33]", 1)
+    assert the_only(problems_of(tmp_path, text)) == (
+        "areas: areas form a loop: area2 - area3 - area2, closed at bus 33; a ring may pass through an area and its "
+        "parent only: move the cut so that the areas form a tree"
+    )
 
 
 def test_meters_at_unknown_and_repeated_places_are_named_with_their_keys(tmp_path: Path) -> None:
