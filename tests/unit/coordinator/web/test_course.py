@@ -93,12 +93,18 @@ def test_a_play_of_very_many_moments_is_looked_at_a_thousand_times_and_nobody_co
 
 
 def test_a_run_that_is_too_long_is_kept_to_its_first_part_and_said_to_be(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(plays, "MOST_MESSAGES", 20)
-    source = PlaybackSource(play_of("ieee33-lossy"), None)
+    whole = play_of("ieee33-lossy")
+    times = PlaybackSource(whole, None).times()
+    assert len(times) > 10
+    with monkeypatch.context() as patch:
+        patch.setattr(plays, "MOST_MESSAGES", 20)
+        source = PlaybackSource(play_of("ieee33-lossy"), None)
     assert source.remarks == ("the run is long: its first part is played",)
     assert len(source._play.messages) == 20
     monkeypatch.setattr(sources, "MOST_FRAMES", 10)
-    assert len(PlaybackSource(play_of("ieee33-lossy"), None).times()) == 10
+    source = PlaybackSource(whole, None)
+    assert source.remarks == ("the run is long: its first part is played",)
+    assert source.times() == times[:10]
 
 
 def test_a_message_is_shown_from_when_it_is_sent_until_it_has_arrived():
