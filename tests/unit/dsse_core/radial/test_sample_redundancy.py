@@ -39,8 +39,11 @@ def test_a_sampled_redundancy_is_the_exact_one_to_a_factor_and_of_what_cannot_be
         (to_us,) = sides[other].model.area.neighbours
         received = {other: sides[other].information_for(to_us, {})}
         model = side.model
-        sampled = make_no_load(model).sample(side.x, received, np.random.default_rng(seed))[1]
-        exact = make_no_load(model).variances(side.x, received)[1] / model.sigma**2
+        linear = make_no_load(model)
+        sampled = linear.sample(side.x, received, np.random.default_rng(seed))[1]
+        H, _, sigma = linear.stack(side.x, received)
+        omega = linear.factor(H, sigma, model.free).residual_variance()[: len(model.z)]  # of virtual rows, too
+        exact = omega / model.sigma**2
         is_needed = np.array([meter in needed for meter in side.ids])
         assert (sampled[is_needed] < ROUND_OFF**2).all()
         ratio = sampled[~is_needed] / exact[~is_needed]
