@@ -93,12 +93,14 @@ class Peer:
     boundary: BoundaryUpdate | None = None
     received_sequence: int = 0
     mean_count: float = 1.0  # of sendings until an answer comes
+    mean_gap: float = 1.0  # of arrivals, heartbeats
     round_trip: RoundTrip = field(init=False)
     clock: ClockSkew = field(default_factory=ClockSkew)
     correction: float = 0.0
     _newest: tuple[float, float] = (0.0, -math.inf)  # send time by its clock, and when it arrived here
     _timed: Incarnation | None = None  # incarnation that ``_newest`` and ``clock`` belong to
     _answered: float = -math.inf  # the latest own time that it has answered
+    _arrived_at: float = -math.inf  # the first message of the last gap
     _load_at: float = -math.inf  # when the newest load message, or a repeat of it, arrived
     _exchange_at: float = -math.inf  # the same of the newest message of the strategy
 
@@ -129,6 +131,8 @@ class Peer:
             self.final, self.complete, self.y = False, False, ()
             if self.incarnation is not None:
                 self.load.repeat = self.exchange.repeat = None  # the new process reports what it lacks
+        elif is_awake:
+            self._note_arrival(now)
         self.incarnation, self.received_at = header.incarnation, now
         if message.receives:
             self.present_at = now
@@ -141,6 +145,19 @@ class Peer:
         for sent, number in zip(self.outgoing, message.received, strict=True):
             if number == sent.sequence:  # a higher one was sent to a former incarnation of this area
                 self.take_reply(sent)
+
+    def _note_arrival(self, now: float) -> None:
+        """Measures the gap between two arrivals.
+
+        Messages within a heartbeat are one arrival. No gap counts for more than the patience.
+        """
+        gap_s = now - self._arrived_at
+        if gap_s < self.heartbeat_s:
+            return
+        if math.isfinite(gap_s):
+            gap = math.floor(min(gap_s, self.patience_s) / self.heartbeat_s)
+            self.mean_gap += MEAN_GAIN * (gap - self.mean_gap)
+        self._arrived_at = now
 
     def take_times(self, message: LinkMessage, now: float, wall: float) -> tuple[bool, float | None]:
         """Notes the send time of a message. Of a message that is rejected for its clock nothing else counts.
@@ -238,10 +255,19 @@ class Peer:
     def patience_messages(self) -> float:
         """Number of messages of the neighbour that are lost before it counts as gone.
 
-        Of these, PATIENCE_WAITS should have arrived: one of ``mean_count`` round trips succeeds, so one of
-        sqrt(``mean_count``) messages arrives.
+        Of these, PATIENCE_WAITS should have arrived, one of ``messages_until_arrival`` each.
         """
-        return PATIENCE_WAITS * math.sqrt(self.mean_count)
+        return PATIENCE_WAITS * self.messages_until_arrival
+
+    @property
+    def messages_until_arrival(self) -> float:
+        """Number of messages of which one arrives.
+
+        One of ``mean_count`` round trips succeeds, so one message of its root. Where messages are replaced before
+        their answers arrive, ``mean_count`` stays too low, and one of ``mean_gap`` arrives.
+        """
+        by_answers, by_gaps = math.sqrt(self.mean_count), self.mean_gap
+        return by_answers if by_answers > by_gaps else by_gaps
 
     @property
     def patience_s(self) -> float:
@@ -253,7 +279,7 @@ class Peer:
         wait_s, least_s = self.round_trip.trips_s, PATIENCE_HEARTBEATS * self.heartbeat_s  # called very often
         if wait_s > self.heartbeat_s:
             wait_s = self.heartbeat_s
-        longest_s = wait_s * PATIENCE_WAITS * math.sqrt(self.mean_count)
+        longest_s = wait_s * PATIENCE_WAITS * self.messages_until_arrival
         return longest_s if longest_s > least_s else least_s
 
     def note_sent(self, now: float) -> None:

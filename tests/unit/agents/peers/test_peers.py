@@ -10,7 +10,7 @@ from agents.messages.packing import Header, HeartbeatMessage, Incarnation, LoadM
 from agents.peers.freshness import PATIENCE_HEARTBEATS
 from agents.peers.peer_table import PeerTable
 from agents.peers.peers import PATIENCE_WAITS, Peer
-from agents.peers.round_trip import FIRST_WAIT_S, LEAST_WAIT_S
+from agents.peers.round_trip import FIRST_WAIT_S, LEAST_WAIT_S, MEAN_GAIN
 from agents.strategies.angle_offset import BoundaryMessage
 from dsse_core.grid.partition import Neighbour
 
@@ -177,3 +177,20 @@ def test_a_message_left_unanswered_for_long_is_no_measure_of_loss(peer: Peer):
     peer.load.repeat = replace(peer.load.repeat, count=10**6)
     receive(peer, heartbeat(received=(4, 0)), 1.0)
     assert peer.mean_count < PATIENCE_WAITS / 4
+
+
+def test_where_no_answer_is_counted_gaps_between_arrivals_tell_how_many_messages_are_lost(peer: Peer):
+    for k in range(60):  # of ten messages, one each heartbeat, one arrives; none answers the newest one
+        now = 10 * HEARTBEAT_S * k
+        receive(peer, heartbeat(answers=WALL + now - 0.3, time=WALL + now), now)
+        receive(peer, heartbeat(time=WALL + now), now + 0.01)
+    assert peer.mean_count == 1.0
+    assert peer.patience_messages == pytest.approx(10 * PATIENCE_WAITS, rel=0.1)
+    assert peer.patience_s == pytest.approx(10 * PATIENCE_WAITS * HEARTBEAT_S, rel=0.1)
+
+
+def test_a_silence_counts_as_one_gap_of_the_patience_however_long_it_was(peer: Peer):
+    receive(peer, heartbeat(), 0.0)
+    patience_s = peer.patience_s
+    receive(peer, heartbeat(time=WALL + 1e6), 1e6)
+    assert peer.mean_gap <= 1 + MEAN_GAIN * patience_s / HEARTBEAT_S
