@@ -24,7 +24,7 @@ UNTIMED = ("--disable-frame-rate-limit", "--disable-gpu-vsync")  # pictures as f
 
 @click.group()
 def main() -> None:
-    """What a page costs a browser and its server; areas are made up, and say something new at each moment."""
+    """Cost of a page for a browser and its server; areas are made up, and say something new at each moment."""
 
 
 @main.command(context_settings={"show_default": True})
