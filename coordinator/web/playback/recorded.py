@@ -199,7 +199,7 @@ def _read_table(column: str, text: str, kind: Any, texts: dict[str, Any]) -> Any
         return known
     try:
         found = msgspec.convert(parse_json(text or "{}"), kind)
-    except ValueError as error:
+    except (ValueError, msgspec.ValidationError) as error:  # no ValueError in older versions
         raise ValueError(f"{column}: {error}") from None
     if len(texts) > MOST_UPDATES:
         texts.clear()
