@@ -78,7 +78,7 @@ def read_about(folder: Path) -> About:
             found = shown(content["format"])
             raise InvalidInputError(str(path), [f"has format {found}; this version reads {FORMAT}"])
         return msgspec.convert(content, About)
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, msgspec.ValidationError) as error:
         why = str(error) if isinstance(error, msgspec.ValidationError) else "it"
         problem = f"does not say of which run this is ({why}); give a folder that `dsse record` has written"
         raise InvalidInputError(str(path), [problem]) from None
