@@ -70,12 +70,12 @@ class AugmentedPattern:
         blocks: np.ndarray | None = None,
     ) -> None:
         self.order, self.fills_in, self._careful, self._blocks = order, fills_in, careful, blocks
-        self.row = _row_of_entries(H)
+        self.row, self.column = _row_of_entries(H), H.indices.astype(np.int32, copy=False)  # SciPy's types vary
         self._size = sum(H.shape)
         self.place = place = np.arange(self._size)
         if order is not None:
             place[order] = np.arange(self._size)
-        row, column = place[self.row], place[H.shape[0] + H.indices]
+        row, column = place[self.row], place[H.shape[0] + self.column]
         rows, columns = np.concatenate([place, row, column]), np.concatenate([place, column, row])
         shape = self._size, self._size
         numbers = sp.csc_array((np.arange(len(rows)), (rows, columns)), shape=shape)  # no two in one place
@@ -101,11 +101,11 @@ class AugmentedPattern:
         """``fill`` with the rows and columns of H times ``scale`` (n_meas + n_state,)."""
         n_meas = H.shape[0]
         if not self.is_compiled:
-            data = H.data * scale[:n_meas][self.row] * scale[n_meas:][H.indices]
+            data = H.data * scale[:n_meas][self.row] * scale[n_meas:][self.column]
             return self.fill(above, data, below)
         from dsse_core.matrices.elimination import fill_tableau  # numba
 
-        return self._with_values(fill_tableau(self._gather, above, below, H.data, self.row, H.indices, scale))
+        return self._with_values(fill_tableau(self._gather, above, below, H.data, self.row, self.column, scale))
 
     def _with_values(self, values: np.ndarray) -> sp.csc_array:
         """The tableau with these entries; a new one would have its indices checked each time."""
