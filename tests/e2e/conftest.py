@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from dsse_command import COMMAND, ENVIRONMENT
-from forked import end_parent, parent
-from waiting import DEADLINE_S, is_gone, wait_until
+
+from tests.support.dsse_command import COMMAND, ENVIRONMENT
+from tests.support.forked import end_parent, parent
+from tests.support.waiting import DEADLINE_S, is_gone, wait_until
 
 for number in (signal.SIGHUP, signal.SIGQUIT):  # what nohup and background jobs ignore, commands would ignore, too
     signal.signal(number, signal.SIG_DFL)

@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 
 import pytest
-from back_ends import BACK_ENDS, back_end
+
+from tests.support.back_ends import BACK_ENDS, back_end
 
 IN_TURN = "in turn"
 

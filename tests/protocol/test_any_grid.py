@@ -3,14 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
-from back_ends import BACK_ENDS, back_end
-from exact_exchange import assert_equals_centralised, assert_same_decisions, run_feeder
-from grids import MeterShares, make_grid, with_gross_errors
 from hypothesis import example, given, reject, seed
 from hypothesis import strategies as st
 
 from dsse_core.errors import EstimationDivergedError, NotObservableError
 from dsse_core.estimation.bad_data import process_bad_data
+from tests.support.back_ends import BACK_ENDS, back_end
+from tests.support.exact_exchange import assert_equals_centralised, assert_same_decisions, run_feeder
+from tests.support.grids import MeterShares, make_grid, with_gross_errors
 
 GRIDS = st.fixed_dictionaries(
     dict(

@@ -8,14 +8,14 @@ import weakref
 from typing import Any
 
 import pytest
-from exact_exchange import settle_bus
-from feeders import make_feeder
-from simulated_bus import SimulatedBus
 
 from agents.protocol import published_state
 from coordinator.simulator.simulator import TRAVEL_S
 from dsse_core.exchange import area_estimation
 from dsse_core.linear.area_model import AreaModel
+from tests.support.exact_exchange import settle_bus
+from tests.support.feeders import make_feeder
+from tests.support.simulated_bus import SimulatedBus
 
 SOME_HEARTBEATS_S = 3.0
 

@@ -3,8 +3,9 @@
 from collections import Counter
 
 import pytest
-from feeders import make_feeder
-from simulated_bus import SimulatedBus
+
+from tests.support.feeders import make_feeder
+from tests.support.simulated_bus import SimulatedBus
 
 LONG = 59
 

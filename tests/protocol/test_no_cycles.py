@@ -6,11 +6,11 @@ import gc
 from dataclasses import replace
 
 import pytest
-from simulated_bus import SimulatedBus, area_files_of
 
 from dsse_core.grid.measurement import Measurement
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 
 @pytest.mark.usefixtures("each_back_end")

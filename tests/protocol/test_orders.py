@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from simulated_bus import SimulatedBus, area_files_of
 
 from agents.messages.packing import StateMessage
 from agents.protocol.events import Ordered
@@ -13,6 +12,7 @@ from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.grid.measurement import Measurement, Source
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 SCENARIO = load_scenario("ieee33")
 TELEMETRY = make_telemetry(SCENARIO)

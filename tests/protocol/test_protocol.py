@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_bus import SimulatedBus, area_files_of, bus_of
 
 from agents.messages.packing import Header, HeartbeatMessage, Incarnation, LoadMessage
 from agents.protocol.choose import make_protocol
@@ -16,6 +15,7 @@ from coordinator.simulator.simulator import STARTED_AT
 from dsse_core.grid.boundary import boundary_at
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.simulated_bus import SimulatedBus, area_files_of, bus_of
 
 
 def boundary_from(bus: SimulatedBus, sender: str, receiver: str) -> BoundaryMessage:

@@ -7,8 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from simulated_bus import SimulatedBus, area_files_of, with_links
-from tree_of_areas import tree_scenario
 
 from agents.messages.packing import StateMessage
 from dsse_core.errors import InvalidInputError
@@ -17,6 +15,8 @@ from dsse_core.link_faults import LinkFaults
 from scenarios.faults.faults import change_links
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.simulated_bus import SimulatedBus, area_files_of, with_links
+from tests.support.tree_of_areas import tree_scenario
 
 WILD = LinkFaults(loss=0.3, delay_s=0.004, jitter_s=0.1, duplicate=0.4)
 

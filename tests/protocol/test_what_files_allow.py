@@ -6,12 +6,12 @@ import random
 from pathlib import Path
 
 import pytest
-from drawn_files import draw_scenario
-from simulated_bus import SimulatedBus, area_files_of
 
 from agents.messages.packing import decode, encode
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.drawn_files import draw_scenario
+from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 
 @pytest.mark.random_cases(few=30, many=2000)

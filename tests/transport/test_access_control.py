@@ -10,14 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from expiring import let_expire
-from waiting import DEADLINE_S, wait_until
 
 from agents.security.access import Access
 from agents.security.access_file import ACCESS_FILE, load_access, save_access
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Router, Session, TransportError
 from coordinator.deployment.certificates import create_keys
+from tests.support.expiring import let_expire
+from tests.support.waiting import DEADLINE_S, wait_until
 
 CHAIN = Access("run", {"a": ("b",), "b": ("a", "c"), "c": ("b",)}, gateways={"north": ("a", "b"), "south": ("c",)})
 NAMES = ("a", "b", "c", "plant", "coordinator", "operator", "watcher", "gateway-north", "gateway-south")

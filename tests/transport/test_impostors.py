@@ -9,14 +9,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from dsse_command import free_endpoint
-from impostor import Impostor, let_listen
-from waiting import wait_until
 
 from agents.security.access import Access
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Router, Session, TransportError
 from coordinator.deployment.certificates import create_keys
+from tests.support.dsse_command import free_endpoint
+from tests.support.impostor import Impostor, let_listen
+from tests.support.waiting import wait_until
 
 CHAIN = Access("run", {"a": ("b",), "b": ("a", "c"), "c": ("b",)}, gateways={"north": ("a", "b")})
 ALL = CHAIN.names

@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
 import pytest
-from speaking import speaking
-from waiting import DEADLINE_S
 
 from agents.messages.packing import WIRE_VERSION
 from agents.transport.zenoh_bus import Router, TransportError
 from coordinator.cli.live.address import RunAddress
 from coordinator.cli.live.session import attach
+from tests.support.speaking import speaking
+from tests.support.waiting import DEADLINE_S
 
 FORMER, LATER = WIRE_VERSION - 1, WIRE_VERSION + 1
 

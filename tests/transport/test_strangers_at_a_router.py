@@ -7,8 +7,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
 import pytest
-from speaking import speaking
-from waiting import DEADLINE_S, wait_until
 
 from agents.messages.keys import all_live, all_readings, all_states
 from agents.messages.packing import WIRE_VERSION
@@ -17,6 +15,8 @@ from agents.transport.zenoh_bus import Router, Session
 from coordinator.cli.live.address import RunAddress
 from coordinator.cli.live.session import attach
 from dsse_core.reading_rules import ANYBODY
+from tests.support.speaking import speaking
+from tests.support.waiting import DEADLINE_S, wait_until
 
 ROOT = "dsse/v3/run"
 PAIR = Access("run", {"a": ("b",), "b": ("a",)}, gateways={"north": ("a",)})

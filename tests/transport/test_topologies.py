@@ -3,10 +3,10 @@
 import itertools
 
 import pytest
-from dsse_command import free_endpoint
-from waiting import wait_until
 
 from agents.transport.zenoh_bus import Router, Session, TransportError
+from tests.support.dsse_command import free_endpoint
+from tests.support.waiting import wait_until
 
 
 @pytest.fixture

@@ -9,8 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from dsse_command import ENVIRONMENT, ROOT
-from foreign_distribution import write_example
+
+from tests.support.dsse_command import ENVIRONMENT, ROOT
+from tests.support.foreign_distribution import write_example
 
 EXAMPLES = ROOT / "examples"
 LONGEST_S = 1800.0

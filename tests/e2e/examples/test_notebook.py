@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from dsse_command import ENVIRONMENT
+
+from tests.support.dsse_command import ENVIRONMENT
 
 nbclient: Any = pytest.importorskip("nbclient")
 nbformat: Any = pytest.importorskip("nbformat")

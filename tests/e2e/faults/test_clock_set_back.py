@@ -6,7 +6,8 @@ import signal
 from pathlib import Path
 
 import pytest
-from system_by_hand import SystemByHand, Watcher, agreeing_system
+
+from tests.support.system_by_hand import SystemByHand, Watcher, agreeing_system
 
 MOVED_CLOCK = """
 import os, time

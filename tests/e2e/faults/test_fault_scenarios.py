@@ -8,13 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from waiting import DEADLINE_S
 
 import coordinator
 from coordinator.evaluation.result import RunResult
 from coordinator.observe.progress import Progress
 from coordinator.process_run.compile_clock import clock
 from coordinator.report.text import format_verdict
+from tests.support.waiting import DEADLINE_S
 
 KINDS = {
     "ieee33-bursts": {"lost in a burst"},

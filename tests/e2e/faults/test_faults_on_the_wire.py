@@ -11,16 +11,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from dsse_command import free_port
-from system_by_hand import SystemByHand, Watcher
-from tcp_fault_proxy import TcpFaultProxy
-from waiting import DEADLINE_S, wait_until
 
 from coordinator.cli.live.address import RunAddress
 from coordinator.cli.live.session import attach
 from coordinator.deployment.split import write_area_files
 from coordinator.evaluation.comparison import Gap
 from scenarios.scenario import load_scenario
+from tests.support.dsse_command import free_port
+from tests.support.system_by_hand import SystemByHand, Watcher
+from tests.support.tcp_fault_proxy import TcpFaultProxy
+from tests.support.waiting import DEADLINE_S, wait_until
 
 pytestmark = pytest.mark.xdist_group("two routers")  # one system for all
 RUN = "ieee33"

@@ -7,8 +7,9 @@ import signal
 from pathlib import Path
 
 import pytest
-from system_by_hand import SystemByHand, Watcher, prepare_by_hand
-from waiting import wait_until
+
+from tests.support.system_by_hand import SystemByHand, Watcher, prepare_by_hand
+from tests.support.waiting import wait_until
 
 NOTES = {signal.SIGTERM: "neighbour area2 has left: SIGTERM", signal.SIGKILL: "neighbour area2 is gone"}
 

@@ -6,8 +6,8 @@ import json
 import os
 import signal
 
-from verdicts import assert_centralised
-from waiting import wait_until
+from tests.support.verdicts import assert_centralised
+from tests.support.waiting import wait_until
 
 EVENTS = """
 [[faults.events]]

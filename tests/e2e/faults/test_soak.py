@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from dsse_command import ENVIRONMENT, ROOT
+from tests.support.dsse_command import ENVIRONMENT, ROOT
 
 DEADLINE_S = 600.0
 

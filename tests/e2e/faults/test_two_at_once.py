@@ -7,14 +7,14 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
-from system_by_hand import SystemByHand, agreeing_system
-from waiting import DEADLINE_S, wait_until
 
 from agents.messages.keys import live_key
 from agents.runtime.duplicate_guard import REPLACED_CODE
 from agents.runtime.presence import begin_incarnation
 from agents.transport.zenoh_bus import Session
+from tests.support.dsse_command import COMMAND, ENVIRONMENT, free_endpoint
+from tests.support.system_by_hand import SystemByHand, agreeing_system
+from tests.support.waiting import DEADLINE_S, wait_until
 
 
 @pytest.mark.parametrize("secured", [False, True], ids=["open", "secured"])

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from feeder import WAYS, FeederUnderWay, running_feeder
 from prometheus_client.parser import text_string_to_metric_families
-from waiting import DEADLINE_S, wait_until
 
 from agents.messages.packing import StateMessage
 from coordinator.cli.live.address import RunAddress
 from coordinator.cli.live.session import Look, attach
 from coordinator.observe.watch import AreaView
 from coordinator.recording.parquet import read_rows
+from tests.support.field.feeder import WAYS, FeederUnderWay, running_feeder
+from tests.support.waiting import DEADLINE_S, wait_until
 
 pytestmark = pytest.mark.long
 AHEAD_S = 3.0

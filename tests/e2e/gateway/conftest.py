@@ -8,9 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from dsse_command import free_endpoint
-from system_by_hand import SystemByHand
-from waiting import DEADLINE_S, wait_until
 
 from agents.messages.checks import MessageError
 from agents.messages.keys import all_states
@@ -20,6 +17,9 @@ from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import read_meters
+from tests.support.dsse_command import free_endpoint
+from tests.support.system_by_hand import SystemByHand
+from tests.support.waiting import DEADLINE_S, wait_until
 
 AREAS = ("area1", "area2")
 LIVE = ("noise = true", "[run]\nscan_s = 0.25")

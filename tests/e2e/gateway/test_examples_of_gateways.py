@@ -12,9 +12,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from dsse_command import COMMAND, ENVIRONMENT, ROOT, free_port
-from repeating import repeating
-from waiting import DEADLINE_S
+
+from tests.support.dsse_command import COMMAND, ENVIRONMENT, ROOT, free_port
+from tests.support.repeating import repeating
+from tests.support.waiting import DEADLINE_S
 
 EXAMPLES = ROOT / "examples"
 METERS = EXAMPLES / "gateway" / "meters.py"

@@ -13,10 +13,11 @@ from pathlib import Path
 
 import aiomqtt
 import pytest
-from dsse_command import free_port
-from mqtt_broker import broker
-from repeating import repeating
-from waiting import DEADLINE_S, wait_until
+
+from tests.support.dsse_command import free_port
+from tests.support.mqtt_broker import broker
+from tests.support.repeating import repeating
+from tests.support.waiting import DEADLINE_S, wait_until
 
 PERIOD_S = 0.1
 

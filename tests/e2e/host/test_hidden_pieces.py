@@ -8,7 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from dsse_command import ENVIRONMENT, ROOT
+
+from tests.support.dsse_command import ENVIRONMENT, ROOT
 
 HIDE = """
 import os, signal, socket, sys

@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from dsse_command import COMMAND, WITH_LIMITS
-from waiting import DEADLINE_S
 
 from coordinator.observe.events import EventLog
+from tests.support.dsse_command import COMMAND, WITH_LIMITS
+from tests.support.waiting import DEADLINE_S
 
 
 def run_limited(folder: Path, limit: int, value: int, *arguments: str) -> subprocess.CompletedProcess[str]:

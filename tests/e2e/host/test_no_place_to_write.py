@@ -11,8 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from dsse_command import COMMAND, WITH_LIMITS
-from waiting import DEADLINE_S
+
+from tests.support.dsse_command import COMMAND, WITH_LIMITS
+from tests.support.waiting import DEADLINE_S
 
 NOBODY = 65534
 CAN_DROP = os.geteuid() != 0 or shutil.which("setpriv") is not None

@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from dsse_command import ROOT
-from waiting import DEADLINE_S, wait_until
 
 import coordinator
 from agents.messages.keys import all_states
@@ -25,6 +23,8 @@ from coordinator.interrupts import ENDS
 from coordinator.observe.progress import Progress
 from coordinator.process_run.compile_clock import clock
 from dsse_core.operating_system import name_signal
+from tests.support.dsse_command import ROOT
+from tests.support.waiting import DEADLINE_S, wait_until
 
 FEW = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGRTMIN + 1)
 

@@ -14,10 +14,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import psutil
-from dsse_command import free_endpoint, free_port
-from system_by_hand import SystemByHand, agreeing_system, prepare_by_hand
-from units import bytes_of, setting_of
-from waiting import DEADLINE_S, wait_until
+
+from tests.support.dsse_command import free_endpoint, free_port
+from tests.support.system_by_hand import SystemByHand, agreeing_system, prepare_by_hand
+from tests.support.units import bytes_of, setting_of
+from tests.support.waiting import DEADLINE_S, wait_until
 
 LIMIT_US = 400_000
 

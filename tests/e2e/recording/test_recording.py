@@ -9,13 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from dsse_command import ENVIRONMENT, ROOT
-from system_by_hand import SystemByHand, Watcher, prepare_by_hand
-from waiting import wait_until
 
 from agents.security.access import PLANT
 from coordinator.recording.folder import LOGS
 from coordinator.replay.ticks import read_ticks
+from tests.support.dsse_command import ENVIRONMENT, ROOT
+from tests.support.system_by_hand import SystemByHand, Watcher, prepare_by_hand
+from tests.support.waiting import wait_until
 
 Dsse = Callable[..., subprocess.CompletedProcess[str]]
 DEADLINE_S = 600.0

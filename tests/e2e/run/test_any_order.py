@@ -7,9 +7,10 @@ from pathlib import Path
 
 import psutil
 import pytest
-from dsse_command import free_endpoint
-from system_by_hand import SystemByHand, Watcher
-from waiting import DEADLINE_S, wait_until
+
+from tests.support.dsse_command import free_endpoint
+from tests.support.system_by_hand import SystemByHand, Watcher
+from tests.support.waiting import DEADLINE_S, wait_until
 
 THREADS_OF_A_BUS = 2  # a process with more has imported all, and looks for the bus or is on it
 ORDERS = (

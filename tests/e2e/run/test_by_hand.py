@@ -12,12 +12,12 @@ import time
 from pathlib import Path
 
 import pytest
-from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
-from waiting import DEADLINE_S
 
 from agents.messages.keys import all_states
 from agents.messages.packing import StateMessage, decode
 from agents.transport.zenoh_bus import Session
+from tests.support.dsse_command import COMMAND, ENVIRONMENT, free_endpoint
+from tests.support.waiting import DEADLINE_S
 
 PATIENCE = ("--timeout", str(DEADLINE_S))  # with the router, which starts beside
 

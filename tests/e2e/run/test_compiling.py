@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
-from dsse_command import COMMAND, ENVIRONMENT
+
+from tests.support.dsse_command import COMMAND, ENVIRONMENT
 
 pytest.importorskip("numba")
 pytestmark = pytest.mark.xdist_group("compiling")  # in one place, once

@@ -8,9 +8,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from dsse_command import free_endpoint
-from system_by_hand import SystemByHand
-from waiting import DEADLINE_S
 
 from agents.area_files.reader import load_area_file
 from agents.messages.keys import all_states
@@ -21,6 +18,9 @@ from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.split_identity import SplitIdentity
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.dsse_command import free_endpoint
+from tests.support.system_by_hand import SystemByHand
+from tests.support.waiting import DEADLINE_S
 
 AREAS = ("area1", "area2", "area3")
 RUN, EVERY_S = "ieee33", 0.5

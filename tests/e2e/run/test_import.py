@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from verdicts import assert_centralised
+
+from tests.support.verdicts import assert_centralised
 
 pandapower: Any = pytest.importorskip("pandapower")
 networks: Any = pytest.importorskip("pandapower.networks")

@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 
 import pytest
-from waiting import DEADLINE_S
 
 import coordinator
+from tests.support.waiting import DEADLINE_S
 
 
 def test_where_areas_are_many_the_plant_starts_when_all_are_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

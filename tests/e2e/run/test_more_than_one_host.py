@@ -11,9 +11,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from dsse_command import ENVIRONMENT
-from units import DEPLOY, PROGRAM, command_of, read_host_file, setting_of
-from waiting import DEADLINE_S
+
+from tests.support.dsse_command import ENVIRONMENT
+from tests.support.units import DEPLOY, PROGRAM, command_of, read_host_file, setting_of
+from tests.support.waiting import DEADLINE_S
 
 UNITS = sorted(path.name for path in DEPLOY.glob("*.service"))
 OWN_NETWORK = ["unshare", "--user", "--map-root-user", "--net"]
@@ -59,10 +60,9 @@ def test_the_command_of_every_unit_is_one_that_dsse_knows(dsse, name: str):
 def test_a_host_that_is_cut_off_is_noticed_and_rejoins_when_its_link_is_back(tmp_path: Path):
     if reason := why_no_namespaces():
         pytest.skip(f"network namespaces are not allowed here: {reason}")
-    script = Path(__file__).parents[1] / "three_hosts.py"
     process = subprocess.Popen(
-        [*OWN_NETWORK, sys.executable, "-P", str(script), str(tmp_path)],
-        env={**ENVIRONMENT, "PYTHONPATH": os.pathsep.join([ENVIRONMENT["PYTHONPATH"], str(script.parent)])},
+        [*OWN_NETWORK, sys.executable, "-P", "-m", "tests.support.three_hosts", str(tmp_path)],
+        env=ENVIRONMENT,
         stdout=subprocess.PIPE,
         text=True,
         start_new_session=True,

@@ -8,9 +8,10 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from dsse_command import COMMAND, ENVIRONMENT
-from foreign_distribution import write_example
-from waiting import DEADLINE_S
+
+from tests.support.dsse_command import COMMAND, ENVIRONMENT
+from tests.support.foreign_distribution import write_example
+from tests.support.waiting import DEADLINE_S
 
 LIMIT = ("--timeout", str(DEADLINE_S))
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from waiting import DEADLINE_S
 
 import coordinator
 from agents.runtime.link_faults import draw_fate
 from coordinator.evaluation.result import RunResult
 from scenarios.scenario import Scenario, load_scenario
+from tests.support.waiting import DEADLINE_S
 
 TABLES = Path(__file__).parents[3] / "coordinator" / "thesis" / "tables"
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drawn_files import draw_scenario
-from waiting import DEADLINE_S
 
 import coordinator
+from tests.support.drawn_files import draw_scenario
+from tests.support.waiting import DEADLINE_S
 
 
 @pytest.mark.parametrize("name", ["ieee33", "ieee33-lossy"])

@@ -8,11 +8,11 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from dsse_command import COMMAND, ENVIRONMENT
-from verdicts import assert_centralised
-from waiting import DEADLINE_S, wait_until
 
 from agents.area_files.reader import load_area_file
+from tests.support.dsse_command import COMMAND, ENVIRONMENT
+from tests.support.verdicts import assert_centralised
+from tests.support.waiting import DEADLINE_S, wait_until
 
 RESTARTS = """
 [[faults.events]]

@@ -17,10 +17,10 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from dsse_command import ENVIRONMENT, free_endpoint
-from system_by_hand import SystemByHand, Watcher
 
 from agents.messages.packing import StateMessage
+from tests.support.dsse_command import ENVIRONMENT, free_endpoint
+from tests.support.system_by_hand import SystemByHand, Watcher
 
 OTHER = "DSSE_OTHER_PYTHON"
 AREAS = ("area1", "area2", "area3")

@@ -8,15 +8,14 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from system_by_hand import SystemByHand, Watcher, free_endpoint
-from waiting import DEADLINE_S
-
 from agents.messages.keys import telemetry_key
 from agents.messages.packing import Header, TelemetryMessage, encode
 from agents.runtime.presence import begin_incarnation
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session
 from dsse_core.grid.measurement import Source
+from tests.support.system_by_hand import SystemByHand, Watcher, free_endpoint
+from tests.support.waiting import DEADLINE_S
 
 RUN = "industrial13"
 

@@ -11,17 +11,17 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from impostor import Impostor, let_listen
-from keys_by_hand import AREAS, RUN, KeysByHand, scenario_of
-from shown_states import a_state
-from system_by_hand import Watcher
-from waiting import DEADLINE_S, wait_until
 
 from agents.messages.keys import all_incarnations, all_live, state_key, telemetry_key
 from agents.messages.packing import Header, encode
 from agents.runtime.presence import begin_incarnation
 from agents.security.access import Access, find_rights
 from coordinator.deployment.certificates import create_keys
+from tests.support.impostor import Impostor, let_listen
+from tests.support.keys_by_hand import AREAS, RUN, KeysByHand, scenario_of
+from tests.support.shown_states import a_state
+from tests.support.system_by_hand import Watcher
+from tests.support.waiting import DEADLINE_S, wait_until
 
 ROUNDS = 200
 

@@ -10,15 +10,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from keys_by_hand import AREAS, KeysByHand, scenario_of
-from system_by_hand import SystemByHand, Watcher, agreeing_system
-from waiting import DEADLINE_S, wait_until
 
 from agents.messages.keys import all_commands, command_key
 from agents.orders.order_book import STOPPED_CODE
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session
 from dsse_core.grid.measurement import Source
+from tests.support.keys_by_hand import AREAS, KeysByHand, scenario_of
+from tests.support.system_by_hand import SystemByHand, Watcher, agreeing_system
+from tests.support.waiting import DEADLINE_S, wait_until
 
 RUN = "industrial13"
 Dsse = Callable[..., subprocess.CompletedProcess[str]]

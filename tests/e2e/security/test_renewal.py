@@ -10,17 +10,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from expiring import let_expire
-from impostor import Impostor
-from keys_by_hand import AREAS, RUN, KeysByHand, scenario_of
-from system_by_hand import Watcher
-from waiting import wait_until
 
 from agents.messages.keys import all_from_neighbours, all_live, state_key, telemetry_key
 from agents.security.access_file import ACCESS_FILE, load_access, save_access
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session, TransportError
 from coordinator.deployment.certificates import create_keys
+from tests.support.expiring import let_expire
+from tests.support.impostor import Impostor
+from tests.support.keys_by_hand import AREAS, RUN, KeysByHand, scenario_of
+from tests.support.system_by_hand import Watcher
+from tests.support.waiting import wait_until
 
 OPEN_AGAIN = "open again with the keys of now, after "
 

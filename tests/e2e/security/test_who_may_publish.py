@@ -16,21 +16,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from dsse_command import ENVIRONMENT, ROOT, free_endpoint
-from expiring import let_expire
-from impostor import Impostor
-from stranger import RUN
-from system_by_hand import SystemByHand, Watcher
-from waiting import DEADLINE_S, wait_until
 
 from coordinator.deployment.certificates import create_keys
 from coordinator.deployment.run_access import access_of
 from coordinator.deployment.split import write_area_files
 from scenarios.scenario import load_scenario
+from tests.support.dsse_command import ENVIRONMENT, free_endpoint
+from tests.support.expiring import let_expire
+from tests.support.impostor import Impostor
+from tests.support.stranger import RUN
+from tests.support.system_by_hand import SystemByHand, Watcher
+from tests.support.waiting import DEADLINE_S, wait_until
 
 pytestmark = pytest.mark.xdist_group("secured")  # one system for all
 AREAS = ("area1", "area2", "area3")
-STRANGER = [sys.executable, str(ROOT / "tests" / "e2e" / "stranger.py")]
+STRANGER = [sys.executable, "-P", "-m", "tests.support.stranger"]
 SEE_REJECTED_MESSAGES = {"RUST_LOG": "warn,zenoh::net::routing::interceptor=trace"}
 
 

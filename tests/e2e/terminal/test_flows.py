@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from system_by_hand import SystemByHand, agreeing_system, prepare_by_hand
-from waiting import wait_until
 
 from coordinator.evaluation.evaluation import estimate_centralised
 from dsse_core.results.results import results_of_estimate
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.system_by_hand import SystemByHand, agreeing_system, prepare_by_hand
+from tests.support.waiting import wait_until
 
 
 @pytest.mark.parametrize("secured", [False, True], ids=["open", "secured"])

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from dsse_command import COMMAND, ENVIRONMENT
-from waiting import DEADLINE_S
 
 from dsse_core.files.drafts import DRAFT
+from tests.support.dsse_command import COMMAND, ENVIRONMENT
+from tests.support.waiting import DEADLINE_S
 
 LIMIT = ("--timeout", str(DEADLINE_S))
 INTERRUPT = """

@@ -16,16 +16,16 @@ from pathlib import Path
 
 import pexpect
 import pytest
-from dsse_command import COMMAND, ENVIRONMENT, ROOT, free_endpoint
-from repeating import repeating
-from system_by_hand import SystemByHand
-from waiting import DEADLINE_S, wait_until
 
 from agents.messages.keys import live_key, state_key
 from agents.messages.packing import Header, StateMessage, encode
 from agents.protocol.quality import UNOBSERVABLE
 from agents.runtime.presence import begin_incarnation
 from agents.transport.zenoh_bus import Session
+from tests.support.dsse_command import COMMAND, ENVIRONMENT, ROOT, free_endpoint
+from tests.support.repeating import repeating
+from tests.support.system_by_hand import SystemByHand
+from tests.support.waiting import DEADLINE_S, wait_until
 
 NOTE = "[/nope] \x1b]0;owned\x07 \x1b[2J \x9b2J \rconsensus\n [bold]$\\frac$ \u202e"
 SHOWN = r"[/nope] \x1b]0;owned\x07 \x1b[2J \x9b2J \rconsensus\n [bold]$\frac$ \u202e"

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
-from waiting import DEADLINE_S, wait_until
+
+from tests.support.dsse_command import COMMAND, ENVIRONMENT, free_endpoint
+from tests.support.waiting import DEADLINE_S, wait_until
 
 AREAS = ["area1", "area2", "area3"]
 

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from dsse_command import free_endpoint
-from waiting import DEADLINE_S
 
 import coordinator
 import coordinator.process_run.system
+from tests.support.dsse_command import free_endpoint
+from tests.support.waiting import DEADLINE_S
 
 
 @pytest.mark.parametrize("command", ["check", "run"])

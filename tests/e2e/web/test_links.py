@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import browsing, cell_of, find_chromium, keep_picture, open_play, serve
-from system_by_hand import SystemByHand
-from tcp_fault_proxy import TcpFaultProxy
-from waiting import DEADLINE_S, wait_until
+
+from tests.support.browser import browsing, cell_of, find_chromium, keep_picture, open_play, serve
+from tests.support.system_by_hand import SystemByHand
+from tests.support.tcp_fault_proxy import TcpFaultProxy
+from tests.support.waiting import DEADLINE_S, wait_until
 
 pytestmark = pytest.mark.long
 LONG_MS = DEADLINE_S * 1000

@@ -10,10 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import browsing, find_chromium
-from served import played, serving
-from shown_states import published_by
-from waiting import DEADLINE_S, wait_until
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
@@ -22,6 +18,10 @@ from coordinator.observe.grid_tables import GridTables
 from coordinator.observe.watch import Watcher
 from coordinator.web import sources, stream
 from coordinator.web.sources import LiveSource
+from tests.support.browser import browsing, find_chromium
+from tests.support.served import played, serving
+from tests.support.shown_states import published_by
+from tests.support.waiting import DEADLINE_S, wait_until
 
 pytestmark = pytest.mark.long
 ME = Incarnation(1, 1)

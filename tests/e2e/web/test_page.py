@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import browsing, cell_of, find_chromium, keep_picture, open_play, serve, wait_for_moment
-from dsse_command import free_endpoint
-from system_by_hand import SystemByHand, agreeing_system
-from waiting import DEADLINE_S, wait_until
 
 from agents.messages.keys import live_key, readings_key, state_key
 from agents.messages.packing import Header, ReadingsMessage, StateMessage, encode
 from agents.runtime.presence import begin_incarnation
 from agents.transport.zenoh_bus import Session
+from tests.support.browser import browsing, cell_of, find_chromium, keep_picture, open_play, serve, wait_for_moment
+from tests.support.dsse_command import free_endpoint
+from tests.support.system_by_hand import SystemByHand, agreeing_system
+from tests.support.waiting import DEADLINE_S, wait_until
 
 pytestmark = pytest.mark.long
 LONG_MS = DEADLINE_S * 1000

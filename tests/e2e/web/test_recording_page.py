@@ -8,12 +8,21 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import browsing, cell_of, find_chromium, keep_picture, open_play, serve, show_moment, wait_for_moment
-from system_by_hand import SystemByHand, agreeing_system
-from waiting import wait_until
 
 from coordinator.web.playback.recorded import play_recording
 from scenarios.scenario import load_scenario
+from tests.support.browser import (
+    browsing,
+    cell_of,
+    find_chromium,
+    keep_picture,
+    open_play,
+    serve,
+    show_moment,
+    wait_for_moment,
+)
+from tests.support.system_by_hand import SystemByHand, agreeing_system
+from tests.support.waiting import wait_until
 
 pytestmark = pytest.mark.long
 AREAS_OF_ALL_MOMENTS = """async () => {

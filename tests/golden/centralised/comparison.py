@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from dense_reference import objective_of
-from oracle_cases import Readings
+
+from tests.golden.centralised.dense_reference import objective_of
+from tests.golden.centralised.oracle_cases import Readings
 
 STATE = 1e-9  # p.u. and rad
 # Relative. Where readings are as stored, sigmas move by up to 400 times what the state does (measured, branches of

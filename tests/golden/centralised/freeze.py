@@ -12,12 +12,19 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
-from oracle import FILE, Frozen, hash_of, name_of, numbers_of, save_oracle
-from oracle_cases import Drawn, draw_examples, draw_feeders, draw_grids, draw_imported, read_again
 
 from dsse_core.errors import EstimationDivergedError, NotObservableError
 from dsse_core.estimation.bad_data import BadDataReport, normalized_residuals, process_bad_data
 from dsse_core.estimation.residuals import THRESHOLD
+from tests.golden.centralised.oracle import FILE, Frozen, hash_of, name_of, numbers_of, save_oracle
+from tests.golden.centralised.oracle_cases import (
+    Drawn,
+    draw_examples,
+    draw_feeders,
+    draw_grids,
+    draw_imported,
+    read_again,
+)
 
 GRIDS = 300
 TOLERANCE = 1e-11  # p.u. and rad

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from oracle_cases import Drawn, Readings
 
 from dsse_core.grid.network import Network
+from tests.golden.centralised.oracle_cases import Drawn, Readings
 
 FILE = Path(__file__).parent / "oracle.npz"
 PER_BUS = ("vm", "va", "sigma_vm", "sigma_va")

@@ -10,14 +10,14 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from feeders import make_feeder
-from grids import MeterShares, make_grid, with_gross_errors
-from imported_cases import MATPOWER, PANDAPOWER, make_pandapower, scenario_of
 
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.network import Network
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.feeders import make_feeder
+from tests.support.grids import MeterShares, make_grid, with_gross_errors
+from tests.support.imported_cases import MATPOWER, PANDAPOWER, make_pandapower, scenario_of
 
 SHIPPED = ("ieee33", "industrial13")
 FEEDERS = 200  # of either sort

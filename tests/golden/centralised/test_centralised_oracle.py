@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from comparison import SIGMA, STATE, Answer, find_differences, fits_better
-from dense_reference import DenseAnswer, NoReferenceError, estimate_densely
-from freeze import TOLERANCE
-from imported_cases import MATPOWER, PANDAPOWER
-from oracle import Frozen, hash_of, load_oracle, numbers_of
-from oracle_cases import Readings, read_again
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.estimation.plan import BackendChoice
+from tests.golden.centralised.comparison import SIGMA, STATE, Answer, find_differences, fits_better
+from tests.golden.centralised.dense_reference import DenseAnswer, NoReferenceError, estimate_densely
+from tests.golden.centralised.freeze import TOLERANCE
+from tests.golden.centralised.oracle import Frozen, hash_of, load_oracle, numbers_of
+from tests.golden.centralised.oracle_cases import Readings, read_again
+from tests.support.imported_cases import MATPOWER, PANDAPOWER
 
 pytestmark = pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas")
 

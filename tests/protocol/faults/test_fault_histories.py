@@ -8,11 +8,11 @@ from dataclasses import astuple
 from pathlib import Path
 
 import pytest
-from back_ends import back_end
 from click.testing import CliRunner
 
 from benchmarks.fault_histories import command as fault_histories
 from benchmarks.fault_histories.history import GAP, HistoryOutcome, run_history
+from tests.support.back_ends import back_end
 
 
 @pytest.mark.random_cases(few=6, many=1000)

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_bus import SimulatedBus, area_files_of
 
 from agents.area_files.area_file import AreaFile
 from agents.area_files.split_digest import stamp_split
@@ -18,6 +17,7 @@ from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.partition import Area
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 SCENARIOS = ("ieee33", "case33bw", "industrial13")
 SCAN_S = 2.0  # many times what a scan of these feeders takes

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from simulated_bus import SimulatedBus, area_files_of
 
 from agents.messages.packing import HeartbeatMessage, LoadMessage, Message
 from agents.protocol.events import Received
 from coordinator.simulator.simulator import STARTED_AT
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 MOST_S = 3.0  # until the next scan is there
 SCENARIO = load_scenario("ieee33")

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from going_over import LONGEST_GAP_S, NEXT, OLD, GoingOver, files_of
 
 from agents.protocol.quality import GOOD
+from tests.support.going_over import LONGEST_GAP_S, NEXT, OLD, GoingOver, files_of
 
 WHAT = ("other cuts", "other network")
 AREAS = tuple(area.name for area in OLD.partition.areas)

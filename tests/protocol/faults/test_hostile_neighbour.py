@@ -7,7 +7,6 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from simulated_bus import SimulatedBus, area_files_of
 
 from agents.messages.packing import Header, Incarnation, LoadMessage, UpMessage, decode, encode
 from agents.peers.rejections import FAR_SCAN, Rejections
@@ -16,6 +15,7 @@ from dsse_core.estimation import decision as verdict
 from dsse_core.estimation.decision import MOST_NAMED, Totals, add_totals
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 HOSTILE = (0.0, -1.0, 1e-300, 1e-9, 1e3, 1e9, 1e17, 1e300, -1e300)
 UNTOUCHED = ("header", "bus", "kind")

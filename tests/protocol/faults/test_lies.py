@@ -10,8 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_bus import SimulatedBus, area_files_of
-from tree_of_areas import tree_scenario
 
 from agents.messages.packing import HeartbeatMessage, decode, encode
 from coordinator.evaluation.result import AreaResult, RunOutcome
@@ -20,6 +18,8 @@ from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.simulated_bus import SimulatedBus, area_files_of
+from tests.support.tree_of_areas import tree_scenario
 
 WRONG_IN_AREA2 = [{"meter": "p_flow@7:7-8", "sigmas": 30.0}]
 NO_READING_WRONG: list[dict[str, object]] = []

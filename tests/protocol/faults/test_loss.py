@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_bus import SimulatedBus, area_files_of, with_links
 
 from coordinator.simulator.simulator import TRAVEL_S
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.simulated_bus import SimulatedBus, area_files_of, with_links
 
 NEAR = 1e-6  # p.u. and rad, of the fixed point
 ROUND_TRIP_S = 2 * TRAVEL_S

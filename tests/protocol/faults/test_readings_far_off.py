@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from simulated_bus import SimulatedBus, area_files_of
 
 from agents.messages.packing import DownMessage, UpMessage
 from dsse_core.errors import EstimationDivergedError
@@ -14,6 +13,7 @@ from dsse_core.estimation.decision import MOST_STEPS, MOST_STEPS_ANEW
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Source
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 MOST_ROUNDS = 30
 

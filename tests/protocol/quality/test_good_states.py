@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from simulated_bus import SimulatedBus, area_files_of
-from tree_of_areas import tree_scenario
 
 from agents.messages.packing import DownMessage, StateMessage, UpMessage
 from agents.protocol.quality import GOOD
@@ -17,6 +15,8 @@ from dsse_core.exchange.area_estimation import Received
 from dsse_core.linear.boundary_information import BoundaryInformation
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.simulated_bus import SimulatedBus, area_files_of
+from tests.support.tree_of_areas import tree_scenario
 
 pytestmark = pytest.mark.quick
 

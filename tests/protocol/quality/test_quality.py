@@ -7,9 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exact_exchange import assert_equals_centralised, settle_bus
-from simulated_bus import SimulatedBus, area_files_of, with_links
-from tree_of_areas import tree_scenario
 
 from agents.messages.packing import HeartbeatMessage
 from agents.peers.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS
@@ -20,6 +17,9 @@ from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Sour
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.exact_exchange import assert_equals_centralised, settle_bus
+from tests.support.simulated_bus import SimulatedBus, area_files_of, with_links
+from tests.support.tree_of_areas import tree_scenario
 
 HEARTBEAT_S = 0.2
 SOON = (FRESH_HEARTBEATS + 1) * HEARTBEAT_S

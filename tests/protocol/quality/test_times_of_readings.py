@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from simulated_bus import SimulatedBus, area_files_of
 
 from coordinator.simulator.simulator import STARTED_AT
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 DAY_S = 86_400.0
 TIMES = {"last year": -365 * DAY_S, "1970": -STARTED_AT, "six scans before": -6.0, "tomorrow": DAY_S}

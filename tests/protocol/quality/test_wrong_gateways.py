@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from simulated_bus import SimulatedBus, area_files_of
 
 from agents.strategies.installed import list_strategies
 from benchmarks.wrong_gateways import SCENARIOS, find_named, run_sound, run_wrong, spoil
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 AREAS = ("area1", "area2", "area3")
 

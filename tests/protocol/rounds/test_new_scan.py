@@ -5,9 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exact_exchange import settle_bus
-from feeders import make_feeder
-from simulated_bus import SimulatedBus, area_files_of
 
 from agents.messages.packing import DownMessage, Header, Incarnation, LoadMessage, UpMessage
 from agents.protocol.readings import DEADLINE_HEARTBEATS
@@ -16,6 +13,9 @@ from coordinator.plant.telemetry_messages import make_message
 from coordinator.simulator import simulator
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.exact_exchange import settle_bus
+from tests.support.feeders import make_feeder
+from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 HEARTBEAT_S = 0.2
 WARM, COLD = 3, 4  # rounds that a scan takes, each of one message in either direction

@@ -6,13 +6,13 @@ import itertools
 
 import numpy as np
 import pytest
-from simulated_bus import SimulatedBus, area_files_of
 
 from agents.messages.packing import ReadingsMessage
 from coordinator.evaluation.evaluation import estimate_centralised
 from dsse_core.results.results import results_of_estimate
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 
 @pytest.mark.parametrize("name", ["industrial13", "ieee33"])

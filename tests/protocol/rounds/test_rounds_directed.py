@@ -7,9 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from toy_estimation import toy_numbers
-from toy_history import MOST_CHATTER
-from toy_rounds import HEARTBEAT_S, TRAVEL_S, ToyBus
 
 from agents.messages.packing import DownMessage, HeartbeatMessage, Incarnation, UpMessage
 from agents.peers.round_trip import LEAST_WAIT_S
@@ -17,6 +14,9 @@ from agents.protocol.events import PresenceChanged, Received
 from agents.protocol.quality import GOOD
 from agents.protocol.scan_readings import MOST_AHEAD
 from dsse_core.estimation.decision import Decision, Memory, Totals, decide
+from tests.support.toy_estimation import toy_numbers
+from tests.support.toy_history import MOST_CHATTER
+from tests.support.toy_rounds import HEARTBEAT_S, TRAVEL_S, ToyBus
 
 pytestmark = pytest.mark.quick
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 import itertools
 
 import pytest
-import toy_history
-from ablations import ABLATIONS
-from schedules import all_schedules, events_of, live_through
-from simulated_bus import SimulatedBus, area_files_of, with_links
-from toy_estimation import toy_numbers
-from toy_rounds import HEARTBEAT_S, TREES, ToyBus
 
 from agents.protocol.quality import GOOD
 from agents.protocol.rounds import RoundsProtocol
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support import toy_history
+from tests.support.ablations import ABLATIONS
+from tests.support.schedules import all_schedules, events_of, live_through
+from tests.support.simulated_bus import SimulatedBus, area_files_of, with_links
+from tests.support.toy_estimation import toy_numbers
+from tests.support.toy_rounds import HEARTBEAT_S, TREES, ToyBus
 
 LIMIT_S = 15.0
 CAUGHT_BY_HISTORIES = (

@@ -4,9 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from feeders import make_feeder
-from simulated_bus import SimulatedBus, area_files_of, with_links
-from tree_of_areas import tree_scenario, with_angle_meters
 
 from agents.area_files.split_digest import stamp_split
 from agents.messages.packing import encode
@@ -19,6 +16,9 @@ from dsse_core.link_faults import LinkFaults
 from scenarios.faults.faults import Faults
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.feeders import make_feeder
+from tests.support.simulated_bus import SimulatedBus, area_files_of, with_links
+from tests.support.tree_of_areas import tree_scenario, with_angle_meters
 
 GAP = 1e-8  # p.u. and rad
 

@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_bus import SimulatedBus, area_files_of, bus_of
-from tree_of_areas import TREE, sound_links, tree_scenario, with_angle_meters
 
 from agents.messages.packing import LoadMessage
 from agents.strategies import angle_offset
@@ -19,6 +17,8 @@ from dsse_core.link_faults import LinkFaults
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.scenario import load_scenario as load
 from scenarios.telemetry import make_telemetry
+from tests.support.simulated_bus import SimulatedBus, area_files_of, bus_of
+from tests.support.tree_of_areas import TREE, sound_links, tree_scenario, with_angle_meters
 
 
 def load_scenario(name):

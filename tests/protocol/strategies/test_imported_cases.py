@@ -6,8 +6,9 @@ from importlib import resources
 from pathlib import Path
 
 import pytest
-from exact_exchange import assert_equals_centralised, settle
-from imported_cases import MATPOWER, PANDAPOWER, make_pandapower, scenario_of
+
+from tests.support.exact_exchange import assert_equals_centralised, settle
+from tests.support.imported_cases import MATPOWER, PANDAPOWER, make_pandapower, scenario_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas")
 

@@ -5,12 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from back_ends import back_end
-from exact_exchange import assert_equals_centralised, assert_same_decisions, run_feeder, settle, settle_bus
-from feeders import make_feeder, make_star
-from grids import with_gross_errors
-from simulated_bus import SimulatedBus, area_files_of
-from tree_of_areas import tree_scenario
 
 from agents.messages.packing import DownMessage, UpMessage, decode, encode
 from agents.protocol.events import Received
@@ -23,6 +17,18 @@ from dsse_core.link_faults import LinkFaults
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.back_ends import back_end
+from tests.support.exact_exchange import (
+    assert_equals_centralised,
+    assert_same_decisions,
+    run_feeder,
+    settle,
+    settle_bus,
+)
+from tests.support.feeders import make_feeder, make_star
+from tests.support.grids import with_gross_errors
+from tests.support.simulated_bus import SimulatedBus, area_files_of
+from tests.support.tree_of_areas import tree_scenario
 
 COLD = 4  # rounds that a first scan takes without removals, each of one message in either direction
 

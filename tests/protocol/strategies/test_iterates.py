@@ -11,14 +11,6 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from back_ends import BACK_ENDS, back_end
-from exact_exchange import assert_equals_centralised, assert_same_decisions, settle_bus
-from feeders import Feeder, make_feeder
-from grids import MeterShares, make_grid, with_gross_errors
-from loaded_feeders import make_loaded_feeder, make_outvoted_feeder
-from oracle_cases import Drawn, draw_examples, draw_feeders, draw_grids
-from rings import make_ring_feeder
-from simulated_bus import SimulatedBus
 
 from dsse_core.errors import EstimationDivergedError, NotObservableError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
@@ -27,6 +19,14 @@ from dsse_core.estimation.sparse import SparseIteration
 from dsse_core.exchange.area_estimation import AreaEstimation
 from dsse_core.grid.measurement import Source
 from dsse_core.observability import find_indispensable
+from tests.golden.centralised.oracle_cases import Drawn, draw_examples, draw_feeders, draw_grids
+from tests.support.back_ends import BACK_ENDS, back_end
+from tests.support.exact_exchange import assert_equals_centralised, assert_same_decisions, settle_bus
+from tests.support.feeders import Feeder, make_feeder
+from tests.support.grids import MeterShares, make_grid, with_gross_errors
+from tests.support.loaded_feeders import make_loaded_feeder, make_outvoted_feeder
+from tests.support.rings import make_ring_feeder
+from tests.support.simulated_bus import SimulatedBus
 
 MOST_OF_ALL, ALL, AT_THE_END = 1e-9, 1e-7, 1e-8  # p.u. and rad
 MOST = 0.95  # of all x_k

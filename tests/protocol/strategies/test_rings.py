@@ -4,11 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exact_exchange import assert_equals_centralised, assert_same_decisions, run_feeder, settle_bus
-from feeders import Feeder
-from grids import with_gross_errors
-from rings import make_ring_feeder, ring33
-from simulated_bus import SimulatedBus, area_files_of, with_links
 
 from agents.messages.packing import Incarnation, UpMessage
 from agents.protocol.choose import make_protocol
@@ -17,6 +12,11 @@ from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObse
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.link_faults import LinkFaults
 from scenarios.telemetry import make_telemetry
+from tests.support.exact_exchange import assert_equals_centralised, assert_same_decisions, run_feeder, settle_bus
+from tests.support.feeders import Feeder
+from tests.support.grids import with_gross_errors
+from tests.support.rings import make_ring_feeder, ring33
+from tests.support.simulated_bus import SimulatedBus, area_files_of, with_links
 
 GAP = 1e-9  # p.u. and rad
 

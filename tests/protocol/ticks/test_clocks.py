@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from ticking import SCAN_S, Ticking, by_clock
 
 from agents.messages.packing import DownMessage, HeartbeatMessage, UpMessage
 from coordinator.simulator.simulator import STARTED_AT
+from tests.support.ticking import SCAN_S, Ticking, by_clock
 
 AREAS = ("area1", "area2", "area3")
 SHARP = 1e-9  # p.u. and rad

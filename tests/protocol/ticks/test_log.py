@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import pytest
-from ticking import SCAN_S, Ticking, by_clock
 
 from agents.messages.packing import TelemetryMessage
 from agents.protocol.events import Action, Conclude, Event
 from agents.runtime.log.changes import ChangeLog
+from tests.support.ticking import SCAN_S, Ticking, by_clock
 
 SCANS = 30
 

@@ -6,11 +6,11 @@ from collections import Counter
 from dataclasses import replace
 
 import pytest
-from ticking import SCAN_S, Ticking, by_clock
 
 from agents.messages.packing import StateMessage, TelemetryMessage
 from coordinator.simulator.simulator import STARTED_AT
 from dsse_core.link_faults import LinkFaults
+from tests.support.ticking import SCAN_S, Ticking, by_clock
 
 AREAS = ("area1", "area2", "area3")
 SHARP = 1e-9  # p.u. and rad

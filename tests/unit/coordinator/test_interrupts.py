@@ -7,10 +7,10 @@ import subprocess
 import sys
 
 import pytest
-from dsse_command import ENVIRONMENT, ROOT
 
 from coordinator.interrupts import ENDS
 from coordinator.process_run.processes import describe_end
+from tests.support.dsse_command import ENVIRONMENT, ROOT
 
 # Of a defect of the process itself, whose handlers cannot go on; and SIGKILL, which no process handles.
 DEFECTS = {"SIGILL", "SIGTRAP", "SIGABRT", "SIGBUS", "SIGFPE", "SIGSEGV", "SIGSYS", "SIGKILL"}

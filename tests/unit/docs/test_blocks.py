@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from page_blocks import find_blocks
-from pages import PAGES, name_of
+
+from tests.support.page_blocks import find_blocks
+from tests.support.pages import PAGES, name_of
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

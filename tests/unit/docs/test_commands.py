@@ -7,11 +7,11 @@ from importlib.util import find_spec
 
 import click
 import pytest
-from pages import PAGES, ROOT, find_commands, name_of
 
 from agents.__main__ import make_parser
 from coordinator.cli.main import commands
 from scenarios.files.shipped_files import find_shipped
+from tests.support.pages import PAGES, ROOT, find_commands, name_of
 
 SHIPPED_SCENARIOS = set(find_shipped("shipped"))
 PLACEHOLDER = re.compile(r"[A-Z_|]+|\.\.\.|\S*\|\S*")

@@ -7,10 +7,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from pages import ROOT, name_of
 
 from benchmarks.measuring.figures import FIGURES, list_facts, read_sections, write_section
 from benchmarks.recovery import make_table, summarise
+from tests.support.pages import ROOT, name_of
 
 MACHINE = {"date": "2030-01-02 03:04 UTC", "processor": "CPU, 2 cores", "memory": "8 GiB", "Python": "3.11.0"}
 SECTIONS = dict(read_sections())

@@ -8,7 +8,8 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from pages import PAGES, ROOT, anchors_of, find_external_links, find_links, name_of
+
+from tests.support.pages import PAGES, ROOT, anchors_of, find_external_links, find_links, name_of
 
 
 def find_dead_links(page: Path) -> list[str]:

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from grids import MeterShares, make_grid
 
 from dsse_core.errors import DsseError, EstimationDivergedError, InvalidInputError, NotObservableError
 from dsse_core.estimation.batch import FailureCode, estimate_batch
@@ -13,6 +12,7 @@ from dsse_core.estimation.estimator import estimate_with_plan
 from dsse_core.estimation.plan import build_estimation_plan
 from dsse_core.grid.measurement import MeasurementKind, Meter, Source
 from dsse_core.power_flow.newton_raphson import solve_power_flow
+from tests.support.grids import MeterShares, make_grid
 
 Kind = MeasurementKind
 CODE_OF = {

@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 
 import pytest
-from scenario_mistakes import GOOD, problems_of, the_only
 
 from agents.area_files.area_file import save_area_file
 from agents.area_files.reader import load_area_file
@@ -16,6 +15,7 @@ from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.reading_rules import DEFAULT_RULES, KindRule
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.scenario_mistakes import GOOD, problems_of, the_only
 
 LIVE = GOOD.replace('source = "network"', 'source = "live"').replace("noise = true", "") + "\n"
 WITH_SCAN = {"run.scan_s": 1.0}

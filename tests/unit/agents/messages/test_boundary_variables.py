@@ -4,7 +4,6 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from sample_messages import MESSAGES, UP
 
 from agents.messages.checks import MessageError
 from agents.messages.packing import (
@@ -14,6 +13,7 @@ from agents.messages.packing import (
 from agents.messages.triangle import read_triangle, write_triangle
 from agents.messages.types import PlaceMessage, VariablesMessage
 from dsse_core.grid.boundary import Boundary, boundary_at
+from tests.support.sample_messages import MESSAGES, UP
 
 ONE_PHASE = boundary_at((6,), "area2").names
 THREE_PHASES = ("s@6.abc>area2", "v@6.abc")

@@ -4,7 +4,6 @@ import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sample_messages import HEADER_PLACE, MESSAGES, places_of
 
 from agents.messages.checks import MessageError
 from agents.messages.packing import (
@@ -12,6 +11,7 @@ from agents.messages.packing import (
     encode,
     seal,
 )
+from tests.support.sample_messages import HEADER_PLACE, MESSAGES, places_of
 
 
 def test_an_oversized_payload_is_rejected_unread():

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from sample_messages import HEADER, HEADER_PLACE, MESSAGES, REFERENCED, STATE, UP, VM, places_of
 
 from agents.messages.checks import LONGEST_NAME, LONGEST_NOTE, MOST_NOTES, MessageError, limit_notes
 from agents.messages.packing import (
@@ -21,6 +20,7 @@ from agents.messages.packing import (
     seal,
 )
 from agents.strategies.angle_offset import BoundaryMessage
+from tests.support.sample_messages import HEADER, HEADER_PLACE, MESSAGES, REFERENCED, STATE, UP, VM, places_of
 
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda m: m.kind)

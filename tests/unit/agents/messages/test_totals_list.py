@@ -5,13 +5,13 @@ from dataclasses import fields, replace
 
 import msgspec
 import pytest
-from sample_messages import UP, places_of
 
 from agents.messages.checks import MessageError
 from agents.messages.packing import decode, encode, seal
 from agents.messages.totals_list import list_split
 from dsse_core.estimation.decision import Totals
 from dsse_core.split_identity import SplitIdentity, SplitUse
+from tests.support.sample_messages import UP, places_of
 
 TOTALS_PLACE = 2 + [f.name for f in fields(UP)].index("totals")
 

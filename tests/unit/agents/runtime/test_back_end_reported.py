@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from back_ends import back_end
-from feeders import make_feeder
-from simulated_bus import SimulatedBus
 
 from agents.messages.packing import Incarnation
 from agents.protocol.choose import make_protocol
+from tests.support.back_ends import back_end
+from tests.support.feeders import make_feeder
+from tests.support.simulated_bus import SimulatedBus
 
 
 @pytest.mark.parametrize(("n_bus", "expected"), [(20, "dense"), (50, "sparse"), (80, "radial")])

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import pytest
-from waiting import wait_until
 
 from agents.messages.keys import all_telemetry, state_key, telemetry_key
 from agents.messages.packing import StateMessage, decode
@@ -19,6 +18,7 @@ from agents.runtime.presence import begin_incarnation
 from coordinator.deployment.split import area_files
 from coordinator.plant.telemetry_messages import make_payloads
 from scenarios.scenario import load_scenario
+from tests.support.waiting import wait_until
 
 A_DAY_S = 86400
 SCENARIO = load_scenario("industrial13")

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from sample_messages import HEADER
 
 from agents.messages.packing import CommandMessage, encode
 from agents.orders.order_book import OrderBook
@@ -19,6 +18,7 @@ from agents.security.access import OPERATOR
 from agents.transport.renewable_bus import Declaration
 from coordinator.deployment.split import area_files
 from scenarios.scenario import load_scenario
+from tests.support.sample_messages import HEADER
 
 PRESENT, _ = area_files(load_scenario("industrial13"), "run", ["tcp/127.0.0.1:7447"], time=0.0)
 NEXT = replace(PRESENT, tolerance=1e-7)

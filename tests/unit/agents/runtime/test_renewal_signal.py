@@ -10,8 +10,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from dsse_command import ENVIRONMENT
-from waiting import is_gone, wait_until
+
+from tests.support.dsse_command import ENVIRONMENT
+from tests.support.waiting import is_gone, wait_until
 
 LISTENER = """
 import signal, sys, time

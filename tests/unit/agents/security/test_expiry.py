@@ -6,13 +6,13 @@ import datetime
 from pathlib import Path
 
 import pytest
-from waiting import wait_until
 
 from agents.security import expiry
 from agents.security.access import Access
 from agents.security.credential_files import Credentials, credentials_in
 from agents.security.expiry import ExpiryWatch, describe_expiry
 from coordinator.deployment.certificates import create_keys
+from tests.support.waiting import wait_until
 
 
 def keys_for(folder: Path, days: float) -> Credentials:

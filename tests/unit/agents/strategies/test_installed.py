@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 
 import pytest
-from foreign_distribution import write_distribution
 
 from agents.messages.packing import MESSAGE_TYPES
 from agents.strategies import installed
@@ -14,6 +13,7 @@ from agents.strategies.angle_offset import AngleOffset
 from agents.strategies.installed import list_strategies, load_strategy
 from coordinator.cli.main import run_command
 from dsse_core.errors import InvalidInputError
+from tests.support.foreign_distribution import write_distribution
 
 ROOT = Path(__file__).parents[4]
 SHIPPED = ("admm", "angle-offset", "information")

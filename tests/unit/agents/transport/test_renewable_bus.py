@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from waiting import wait_until
 
 from agents.security.access import Access
 from agents.security.access_file import ACCESS_FILE, load_access, save_access
@@ -14,6 +13,7 @@ from agents.security.credentials import Keys, load_keys
 from agents.transport.renewable_bus import RenewableBus
 from coordinator.deployment.certificates import create_keys
 from dsse_core.errors import DsseError
+from tests.support.waiting import wait_until
 
 ACCESS = Access("run", {"a": ("b",), "b": ("a",)})
 

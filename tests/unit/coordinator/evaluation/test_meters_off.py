@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from shown_states import a_state
-
 from coordinator.evaluation.used_readings import UsedReadings
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.shown_states import a_state
 
 
 def test_a_run_is_not_compared_with_readings_of_meters_that_are_off():

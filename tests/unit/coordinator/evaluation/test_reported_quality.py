@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from shown_states import published_by
 
 from agents.messages.packing import Incarnation, StateMessage
 from agents.protocol.quality import (
@@ -28,6 +27,7 @@ from coordinator.observe.watch import Watcher
 from coordinator.report.text import format_verdict
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.shown_states import published_by
 
 SCENARIO = load_scenario("industrial13")
 TELEMETRY = make_telemetry(SCENARIO)

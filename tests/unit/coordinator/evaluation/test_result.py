@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from shown_states import published_by
 
 from agents.messages.packing import Incarnation, StateMessage
 from coordinator.evaluation.comparison import Voltages, compare, largest_gap
@@ -25,6 +24,7 @@ from coordinator.simulator.simulate import simulate_scenario
 from dsse_core.estimation.bad_data import process_bad_data
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.shown_states import published_by
 
 ROOT = Path(__file__).parents[4]
 FIGURES = {"gap", "errors", "magnitudes", "angles", "residuals", "network"}

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_results import AT_S, GAPS, SCAN_AT_S, make_result
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_hex
@@ -29,6 +28,7 @@ from coordinator.figures.style import COLOURS, INK, PAPER, Drawing
 from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from scenarios.scenario import load_scenario
+from tests.support.made_results import AT_S, GAPS, SCAN_AT_S, make_result
 
 pytestmark = pytest.mark.long  # drawing takes seconds
 

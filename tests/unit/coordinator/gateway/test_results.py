@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from shown_states import a_state
 
 from agents.messages.packing import StateMessage
 from coordinator.gateway.results import ResultQueue, make_result
@@ -17,6 +16,7 @@ from dsse_core.grid.partition import Area
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.results.results import results_of_power_flow
 from scenarios.scenario import Scenario, load_scenario
+from tests.support.shown_states import a_state
 
 
 @pytest.fixture(scope="module")

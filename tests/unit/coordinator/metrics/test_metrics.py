@@ -14,7 +14,6 @@ from dataclasses import replace
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-from shown_states import a_state
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
@@ -26,6 +25,7 @@ from coordinator.metrics.collect import LOOKED_LATELY_S, RunCollector, Sight
 from coordinator.metrics.page import MetricsPage
 from coordinator.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
+from tests.support.shown_states import a_state
 
 ALIVE, GATEWAY = (
     live_key("run", "area", "area1", Incarnation(1, 1)),

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shown_states import a_state
 
 from agents.messages.packing import StateMessage
 from coordinator.observe.area_flows import make_area_flows
@@ -16,6 +15,7 @@ from dsse_core.grid.partition import Area
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.results.results import Results, results_of_power_flow
 from scenarios.scenario import load_scenario
+from tests.support.shown_states import a_state
 
 
 @pytest.fixture(scope="module")

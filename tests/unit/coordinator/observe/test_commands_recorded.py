@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from shown_states import a_state
-
 from coordinator.observe.events import EventLog
 from coordinator.observe.state_log import StateLog
+from tests.support.shown_states import a_state
 
 
 def test_each_command_that_an_area_has_followed_is_one_event(tmp_path: Path):

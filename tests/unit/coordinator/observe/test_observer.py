@@ -6,13 +6,13 @@ import math
 from dataclasses import replace
 
 import pytest
-from shown_states import published_by
 
 from agents.messages.packing import Header, Incarnation, StateMessage
 from agents.peers.freshness import PATIENCE_HEARTBEATS
 from coordinator.observe.observer import Observer, Standing
 from coordinator.observe.progress import describe_progress
 from scenarios.scenario import load_scenario
+from tests.support.shown_states import published_by
 
 PARTITION = load_scenario("ieee33").partition
 AREAS = tuple(area.name for area in PARTITION.areas)

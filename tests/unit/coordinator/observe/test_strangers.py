@@ -9,7 +9,6 @@ from types import SimpleNamespace
 
 import pytest
 import zenoh
-from shown_states import a_state, published_by
 
 from agents.messages.checks import LONGEST_NAME
 from agents.messages.keys import live_key
@@ -24,6 +23,7 @@ from coordinator.process_run import processes
 from coordinator.process_run.processes import Updates
 from coordinator.process_run.run_status import listen
 from scenarios.scenario import load_scenario
+from tests.support.shown_states import a_state, published_by
 
 INCARNATION = Incarnation(1, 1)
 

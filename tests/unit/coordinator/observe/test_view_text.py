@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from shown_states import a_state, published_by
 
 from agents.messages.packing import Header, Incarnation, ReadingsMessage
 from coordinator.observe.grid_tables import GridTables, list_buses, list_meters, worst_first
@@ -19,6 +18,7 @@ from coordinator.observe.watch import Watcher
 from dsse_core.results.table import Table
 from dsse_core.split_identity import SplitIdentity
 from scenarios.scenario import load_scenario
+from tests.support.shown_states import a_state, published_by
 
 HEADER = Header("run", "area1", Incarnation(1, 1), 1, 1, 0.0)
 USED = ReadingsMessage(

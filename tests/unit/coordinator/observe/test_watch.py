@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from shown_states import a_state, published_by
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
@@ -14,6 +13,7 @@ from coordinator.observe.view import OVER_S, AreaView
 from coordinator.observe.view_text import format_view
 from coordinator.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
+from tests.support.shown_states import a_state, published_by
 
 ONE, OTHER = (live_key("run", "area", "area1", Incarnation(start, 1)) for start in (1, 2))
 

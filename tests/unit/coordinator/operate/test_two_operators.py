@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from shown_states import a_state
 
 from agents.messages.packing import Incarnation, StateMessage
 from agents.orders.order_book import OrderBook
 from agents.orders.order_file import OrderFile
 from agents.protocol.events import Ordered
 from coordinator.operate.operator import Operator
+from tests.support.shown_states import a_state
 
 RUN = "run"
 METERS = {"area1": ("A", "B"), "area2": ("C",)}

@@ -7,12 +7,12 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from recordings import RUN, Record, load_areas_of
 
 from coordinator.recording.entries import Entry
 from coordinator.recording.folder import begin_writing
 from coordinator.recording.recorder import Recorder
 from coordinator.recording.segment_log import SegmentLog
+from tests.support.recordings import RUN, Record, load_areas_of
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from recordings import AT, Record, appeared, entry_of, load_areas_of, make_readings, make_state, read_table
 
 from coordinator.recording import closing, parquet
 from coordinator.recording.closing import NO_PARQUET, close_ended, remove_oldest
@@ -14,6 +13,16 @@ from coordinator.recording.entries import Entry, note
 from coordinator.recording.folder import LOGS, begin_writing, list_segments
 from coordinator.recording.frames import MARK
 from dsse_core.errors import InvalidInputError
+from tests.support.recordings import (
+    AT,
+    Record,
+    appeared,
+    entry_of,
+    load_areas_of,
+    make_readings,
+    make_state,
+    read_table,
+)
 
 HOUR = 3600.0
 AREAS = load_areas_of()

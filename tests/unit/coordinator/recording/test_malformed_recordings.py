@@ -13,21 +13,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from dsse_command import ENVIRONMENT, ROOT
-from malformed import (
-    BOMBS,
-    FILE_KINDS,
-    HOSTILE_KINDS,
-    LOG_KINDS,
-    REFUSED_KINDS,
-    SCANS,
-    TABLE_KINDS,
-    add_frame,
-    log_in,
-    rewrite,
-    table_in,
-    write_good,
-)
 
 from coordinator.cli.main import run_command
 from coordinator.recording import frames
@@ -42,6 +27,21 @@ from coordinator.replay.ticks import Tick, read_ticks
 from coordinator.web.playback import recorded
 from coordinator.web.playback.recorded import play_recording
 from dsse_core.errors import InvalidInputError
+from tests.support.dsse_command import ENVIRONMENT, ROOT
+from tests.support.malformed import (
+    BOMBS,
+    FILE_KINDS,
+    HOSTILE_KINDS,
+    LOG_KINDS,
+    REFUSED_KINDS,
+    SCANS,
+    TABLE_KINDS,
+    add_frame,
+    log_in,
+    rewrite,
+    table_in,
+    write_good,
+)
 
 
 @pytest.fixture(scope="session")

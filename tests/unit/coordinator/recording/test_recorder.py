@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from recordings import AT, RUN, Record, entry_of, load_areas_of, make_readings, make_state
 
 from agents.messages.keys import state_key
 from agents.messages.packing import encode
@@ -17,6 +16,7 @@ from coordinator.recording.entries import MESSAGE, Entry, note, read_entries
 from coordinator.recording.folder import LOGS, begin_writing, list_segments, log_of, read_about
 from coordinator.recording.segment_log import SegmentLog
 from dsse_core.errors import InvalidInputError
+from tests.support.recordings import AT, RUN, Record, entry_of, load_areas_of, make_readings, make_state
 
 AREAS = load_areas_of()
 

@@ -6,13 +6,13 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from recordings import load_areas_of
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
 from agents.transport.zenoh_bus import TransportError
 from coordinator.process_run.fork_server import Ended
 from coordinator.replay.process_stage import PREFIX, ProcessStage
+from tests.support.recordings import load_areas_of
 
 AREAS = ["area1", "area2", "area3"]
 

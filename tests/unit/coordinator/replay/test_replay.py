@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from recordings import AT, RUN, entry_of, load_areas_of, make_readings, make_state, record_simulated
 
 from coordinator.recording.closing import close_ended
 from coordinator.recording.folder import LOGS, begin_writing, list_segments, table_of
@@ -17,6 +16,7 @@ from coordinator.replay.text import format_replay
 from coordinator.replay.ticks import read_ticks
 from dsse_core.errors import InvalidInputError
 from scenarios.scenario import load_scenario
+from tests.support.recordings import AT, RUN, entry_of, load_areas_of, make_readings, make_state, record_simulated
 
 
 @pytest.mark.parametrize("is_closed", [True, False])

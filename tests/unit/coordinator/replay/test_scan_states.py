@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from sample_messages import STATE
-
 from agents.messages.packing import StateMessage
 from agents.protocol.quality import GOOD
 from coordinator.replay.scan_states import ScanStates
+from tests.support.sample_messages import STATE
 
 
 def shown(scan: int, sequence: int, quality: str) -> StateMessage:

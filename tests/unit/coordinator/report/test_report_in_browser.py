@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from made_results import make_result
-from read_page import read_page
 
 from coordinator.report.run_files import write_report
 from scenarios.generate.generated_files import write_generated
 from scenarios.scenario import load_scenario
+from tests.support.made_results import make_result
+from tests.support.read_page import read_page
 
 NAMES = ("chromium-headless-shell", "chrome-headless-shell", "chromium", "chromium-browser", "google-chrome")
 BROWSER = next(filter(None, map(shutil.which, NAMES)), None)

@@ -10,9 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from made_results import make_result
 from matplotlib.figure import Figure
-from read_page import ReadPage, read_page
 
 import coordinator
 from coordinator.evaluation.result import RunResult
@@ -25,6 +23,8 @@ from coordinator.report.run_report import make_run_page
 from coordinator.report.settings import write_command
 from dsse_core.printable import printable
 from scenarios.scenario import load_scenario
+from tests.support.made_results import make_result
+from tests.support.read_page import ReadPage, read_page
 
 pytestmark = pytest.mark.long  # drawing takes seconds
 HOSTILE = "<script>alert(1)</script>&\"'><img src=http://evil.example/x>"

@@ -16,8 +16,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dsse_command import ENVIRONMENT, ROOT, free_port
-from waiting import wait_until
 
 import consensus_dsse as dsse
 from coordinator.cli.main import run_command
@@ -26,6 +24,8 @@ from coordinator.studies import sweep as sweep_module
 from coordinator.studies.executors import RUNS_OF_UNIT, WorkerError, open_executor, run_units
 from coordinator.studies.sweep_plan import hash_scenario
 from dsse_core.errors import InvalidInputError
+from tests.support.dsse_command import ENVIRONMENT, ROOT, free_port
+from tests.support.waiting import wait_until
 
 STUDY = ["sweep", "industrial13", "--vary", "faults.loss=0,0.3", "--strategies", "information", "--quiet", "--no-plots"]
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from read_page import read_page
 
 from coordinator.studies.study_row import CONSENSUS, NOT_POSSIBLE, StudyRow
 from coordinator.studies.sweep_plan import Task
 from coordinator.studies.sweep_plot import draw_sweep
+from tests.support.read_page import read_page
 
 
 @pytest.mark.long

@@ -11,7 +11,6 @@ from multiprocessing import util
 from pathlib import Path
 
 import pytest
-from waiting import is_gone, wait_until
 
 from coordinator.cli.main import run_command
 from coordinator.studies import sweep as sweep_module
@@ -21,6 +20,7 @@ from coordinator.studies.sweep_plan import Task, make_plan, parse_vary
 from coordinator.studies.sweep_table import SweepTable
 from dsse_core.errors import InvalidInputError
 from scenarios.files.shipped_files import find_shipped
+from tests.support.waiting import is_gone, wait_until
 
 SMALL = ["industrial13", "--vary", "faults.loss=0,0.3", "--strategies", "information", "--quiet"]
 

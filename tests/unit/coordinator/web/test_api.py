@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from served import client, live, played, wait_for
-from shown_states import a_state, published_by
 from starlette.applications import Starlette
 from starlette.routing import Mount, Route
 
@@ -15,6 +13,8 @@ from agents.messages.packing import Incarnation
 from coordinator.http_front import Front
 from coordinator.observe.watch import Watcher
 from coordinator.web.app import make_app
+from tests.support.served import client, live, played, wait_for
+from tests.support.shown_states import a_state, published_by
 
 
 def test_the_grid_is_described_in_the_order_of_its_columns():

@@ -9,10 +9,10 @@ from contextlib import ExitStack
 
 import httpx
 import pytest
-from served import client, played, serving, wait_for
 
 from coordinator import http_front
 from coordinator.web import readers
+from tests.support.served import client, played, serving, wait_for
 
 HEAD = b"GET /health HTTP/1.1\r\nHost: {host}\r\n"
 NEXT = b"GET /api/now HTTP/1.1\r\nHost: {host}\r\n\r\n"

@@ -6,7 +6,6 @@ import json
 from typing import Any
 
 import pytest
-from shown_states import published_by
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation, StateMessage
@@ -19,6 +18,7 @@ from coordinator.web.playback import source as sources
 from coordinator.web.playback.course import Course
 from coordinator.web.playback.play import IN_SIMULATION, Play, Presence, Sent
 from coordinator.web.playback.source import PlaybackSource
+from tests.support.shown_states import published_by
 
 TOKEN = live_key("run", "area", "area2", IN_SIMULATION)
 

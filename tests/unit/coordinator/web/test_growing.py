@@ -7,7 +7,6 @@ import threading
 from typing import Any
 
 import pytest
-from served import client, played, wait_for
 
 from agents.messages.packing import Message
 from coordinator.evaluation.evaluation import choose_scenario
@@ -15,6 +14,7 @@ from coordinator.simulator.simulate import Simulation
 from coordinator.web.playback import growing
 from coordinator.web.playback.growing import GrowingPlayback
 from coordinator.web.playback.play import Play
+from tests.support.served import client, played, wait_for
 
 NAME = "industrial13-lossy"
 

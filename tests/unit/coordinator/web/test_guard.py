@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from served import HOST, client, played
+
+from tests.support.served import HOST, client, played
 
 TOKEN = "0123456789abcdef"
 

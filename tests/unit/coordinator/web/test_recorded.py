@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from recordings import AT, ME, RUN, appeared, entry_of, load_areas_of, make_readings, make_state
-from served import client
 
 from agents.messages.keys import live_key
 from coordinator.recording import rows
@@ -21,6 +19,8 @@ from coordinator.web.playback import recorded
 from coordinator.web.playback.recorded import play_recording
 from dsse_core.errors import InvalidInputError
 from scenarios.scenario import load_scenario
+from tests.support.recordings import AT, ME, RUN, appeared, entry_of, load_areas_of, make_readings, make_state
+from tests.support.served import client
 
 AREAS = load_areas_of()
 SCANS = 4

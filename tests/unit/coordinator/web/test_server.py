@@ -16,8 +16,6 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
-from served import live, played, serving, wait_for
-from shown_states import a_state
 
 from agents.security.access import Access
 from coordinator import http_front
@@ -27,6 +25,8 @@ from coordinator.web import readers, server, stream
 from coordinator.web.moment import Moments
 from coordinator.web.server import Place, choose_place
 from dsse_core.errors import InvalidInputError
+from tests.support.served import live, played, serving, wait_for
+from tests.support.shown_states import a_state
 
 TOKEN = "0123456789abcdef"
 SHOWN = {"authorization": f"Bearer {TOKEN}"}

@@ -9,9 +9,6 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from repeating import repeating
-from served import wait_for
-from shown_states import a_state, published_by
 
 from agents.messages.keys import gateway_key, live_key, name_of_live, readings_key, state_key
 from agents.messages.packing import Header, Incarnation, ReadingsMessage, encode
@@ -26,6 +23,9 @@ from coordinator.process_run.processes import Updates
 from coordinator.web import sources
 from coordinator.web.moment import Events, Moments, encode_json, find_links
 from coordinator.web.sources import LiveSource
+from tests.support.repeating import repeating
+from tests.support.served import wait_for
+from tests.support.shown_states import a_state, published_by
 
 ME = Incarnation(1, 1)
 CROWD = 100_000

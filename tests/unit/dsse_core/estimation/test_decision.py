@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from grids import MeterShares, make_grid, with_gross_errors
-from loaded_feeders import make_outvoted_feeder
 
 from dsse_core.errors import DsseError, EstimationDivergedError, InvalidInputError
 from dsse_core.estimation import decision as verdict
@@ -24,6 +22,8 @@ from dsse_core.gauss_newton import (
     MOST_STEPS,
     MOST_STEPS_ANEW,
 )
+from tests.support.grids import MeterShares, make_grid, with_gross_errors
+from tests.support.loaded_feeders import make_outvoted_feeder
 
 LIMIT = chi_square_limit(9, CONFIDENCE)
 

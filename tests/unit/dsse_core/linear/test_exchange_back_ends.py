@@ -8,9 +8,6 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.sparse as sp
-from boundary_marginal import marginal_of
-from feeders import Feeder, make_feeder, make_star
-from grids import MeterShares, make_grid
 
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.grid.partition import Neighbour
@@ -19,6 +16,9 @@ from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import EXACT_SIGMA, BoundaryInformation
 from dsse_core.linear.contributions import Contribution, CoupledRows, RowsAt, VoltageReadings
 from dsse_core.power_flow.newton_raphson import solve_power_flow
+from tests.support.boundary_marginal import marginal_of
+from tests.support.feeders import Feeder, make_feeder, make_star
+from tests.support.grids import MeterShares, make_grid
 
 has_numba = importlib.util.find_spec("numba") is not None
 needs_numba = pytest.mark.skipif(not has_numba, reason="the tree needs numba: pip install 'consensus-dsse[fast]'")

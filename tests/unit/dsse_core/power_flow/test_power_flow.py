@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from grids import MeterShares, make_grid
 
 from dsse_core.errors import InvalidInputError, PowerFlowDivergedError
 from dsse_core.grid.admittance import build_admittance
@@ -16,6 +15,7 @@ from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.generate.feeder import generate_feeder
+from tests.support.grids import MeterShares, make_grid
 
 Kind = MeasurementKind
 

@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from grids import MeterShares, make_grid
 
 from dsse_core.errors import EstimationDivergedError
 from dsse_core.estimation.estimator import estimate_state, estimate_with_plan
@@ -21,6 +20,7 @@ from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.radial.plan import build_radial_plan
 from scenarios.generate.feeder import generate_feeder
+from tests.support.grids import MeterShares, make_grid
 
 pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
 

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from feeders import make_feeder
-from grids import MeterShares, make_grid
 
 from dsse_core.exchange.feeder_bad_data import NO_LOAD_REDUNDANCY, build_no_load_model
 from dsse_core.linear import make_no_load
 from dsse_core.linear.no_load import DRAWS
 from dsse_core.matrices.augmented import AugmentedFactor
 from dsse_core.observability import find_indispensable
+from tests.support.feeders import make_feeder
+from tests.support.grids import MeterShares, make_grid
 
 LEAST, MOST = 0.2, 3.0  # of a mean square of 32 normal numbers: outside with a probability of 3e-7
 ROUND_OFF = 1e-13  # of a residual of readings of size 1; found: 2e-15

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
-from grids import MeterShares, make_grid
 
 from dsse_core.estimation.estimator import estimate_state
 from dsse_core.grid.admittance import build_admittance
@@ -18,6 +17,7 @@ from dsse_core.results.deviations.choose import Deviations, find_deviations
 from dsse_core.results.flows import build_branch_model, find_flows, find_injections
 from dsse_core.results.state import GridState, find_state
 from dsse_core.results.totals import Division, find_totals
+from tests.support.grids import MeterShares, make_grid
 
 Kind = MeasurementKind
 POWERS = (Kind.P_INJECTION, Kind.Q_INJECTION)

@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from scenario_mistakes import GOOD, link, problems_of, the_only
 
 from coordinator.process_run.faults.schedule import FaultSchedule
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
+from tests.support.scenario_mistakes import GOOD, link, problems_of, the_only
 
 
 @pytest.mark.parametrize("loss", ["-0.1", "1.5"])

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from scenario_mistakes import GOOD, link, problems_of, the_only
 
 from coordinator.deployment.split import default_run_id
 from dsse_core.errors import InvalidInputError
 from scenarios.files.shipped_files import find_shipped
 from scenarios.scenario import load_scenario
+from tests.support.scenario_mistakes import GOOD, link, problems_of, the_only
 
 
 def changed(old: str, new: str) -> str:

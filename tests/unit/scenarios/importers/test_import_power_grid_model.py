@@ -7,7 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from power_grid_model_grids import (
+
+from dsse_core.power_flow.newton_raphson import solve_power_flow
+from dsse_core.results.results import results_of_power_flow
+from tests.support.power_grid_model_grids import (
     NAN,
     check_power_flow,
     imported,
@@ -16,9 +19,6 @@ from power_grid_model_grids import (
     voltages_there,
     without_link,
 )
-
-from dsse_core.power_flow.newton_raphson import solve_power_flow
-from dsse_core.results.results import results_of_power_flow
 
 
 @pytest.mark.parametrize("frequency_hz", [50.0, 60.0])

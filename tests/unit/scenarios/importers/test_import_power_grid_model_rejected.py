@@ -8,16 +8,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from power_grid_model_grids import (
+
+from dsse_core.errors import InvalidInputError
+from scenarios.importers import import_grid
+from tests.support.power_grid_model_grids import (
     Data,
     problems_of,
     small_grid,
     table,
     utils,
 )
-
-from dsse_core.errors import InvalidInputError
-from scenarios.importers import import_grid
 
 
 def test_sources_of_separate_islands_are_reported_how_to_be_split(tmp_path: Path) -> None:

@@ -6,7 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from power_grid_model_grids import (
+
+from dsse_core.estimation.estimator import estimate_state
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from scenarios.importers import Imported
+from tests.support.power_grid_model_grids import (
     BRANCH_FROM,
     BRANCH_TO,
     NAN,
@@ -22,10 +26,6 @@ from power_grid_model_grids import (
     table,
     voltages_there,
 )
-
-from dsse_core.estimation.estimator import estimate_state
-from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
-from scenarios.importers import Imported
 
 
 @pytest.mark.parametrize("stiff", [False, True])

@@ -8,10 +8,10 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-import dsse_command
 import pytest
 
 from coordinator.gateway.interface import Source
+from tests.support import dsse_command
 
 DEADLINE_S = 180.0
 

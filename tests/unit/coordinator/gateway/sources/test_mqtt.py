@@ -7,12 +7,12 @@ import contextlib
 
 import aiomqtt
 import pytest
-from mqtt_broker import broker
 from pydantic import ValidationError
 
 import coordinator.gateway.broker
 from coordinator.gateway.sources import mqtt
 from coordinator.gateway.sources.mqtt import MqttSettings, MqttSource, _FairQueue
+from tests.support.mqtt_broker import broker
 
 pytestmark = pytest.mark.long
 

@@ -6,9 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from dsse_command import free_endpoint
-from system_by_hand import SystemByHand
-
 from agents.messages.keys import telemetry_key
 from agents.runtime.presence import begin_incarnation
 from agents.security.access import Access
@@ -18,6 +15,8 @@ from coordinator.deployment.run_access import access_of
 from coordinator.deployment.split import write_area_files
 from coordinator.plant.telemetry_messages import make_payloads
 from scenarios.scenario import load_scenario
+from tests.support.dsse_command import free_endpoint
+from tests.support.system_by_hand import SystemByHand
 
 RUN = "ieee33"
 AREAS = ("area1", "area2", "area3")

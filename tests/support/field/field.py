@@ -1,8 +1,9 @@
 """The field of a feeder in a process of its own: an MQTT broker, an OPC UA server, a Modbus device, and the meters that
 publish there, each at its interval.
 
-``python field.py ORDERS.json``: which meters there are and where (``Orders`` of ``feeder.py``). Each line on standard
-input replaces the faults, as JSON: ``{"sign": [ids], "frozen": [ids]}``; it is answered by a line on standard output.
+``python -m tests.support.field.field ORDERS.json``: which meters there are and where (``Orders`` of ``feeder.py``).
+Each line on standard input replaces the faults, as JSON: ``{"sign": [ids], "frozen": [ids]}``; it is answered by a line
+on standard output.
 """
 
 from __future__ import annotations
@@ -22,10 +23,11 @@ from typing import Any
 import aiomqtt
 from amqtt.broker import Broker
 from asyncua import Server, ua
-from field_meters import FieldMeter
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
+
+from tests.support.field.field_meters import FieldMeter
 
 STEP_S = 0.02
 WRITE_REGISTERS = 16  # function code

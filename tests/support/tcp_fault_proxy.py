@@ -12,7 +12,7 @@ from collections.abc import Callable, Coroutine
 from types import TracebackType
 from typing import Any, Self
 
-from waiting import DEADLINE_S
+from tests.support.waiting import DEADLINE_S
 
 RESET_AT_CLOSE = struct.pack("ii", 1, 0)  # SO_LINGER on, for no time
 

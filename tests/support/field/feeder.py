@@ -17,9 +17,6 @@ from pathlib import Path
 import pandapower
 import pandapower.networks
 import tomli_w
-from dsse_command import ENVIRONMENT, free_endpoint, free_port
-from field_meters import FieldMeter
-from system_by_hand import SystemByHand
 
 from coordinator.cli.main import run_command
 from coordinator.deployment.split import write_area_files
@@ -27,13 +24,16 @@ from dsse_core.grid.measurement import Source
 from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.scenario import Scenario, load_scenario
+from tests.support.dsse_command import ENVIRONMENT, free_endpoint, free_port
+from tests.support.field.field_meters import FieldMeter
+from tests.support.system_by_hand import SystemByHand
 
 FASTER = 2
 SCAN_S = 1.0 / FASTER
 KINDS = {"vm": (1.0, 0.002), "flow": (5.0, 0.02), "injection": (60.0, 0.05)}  # from one reading to the next, s; p.u.
 WAYS = {"area1": "mqtt", "area2": "mqtt", "area3": "opcua", "area4": "modbus"}
 UNITS = {"v": "kV", "p": "kW", "q": "kvar"}  # by the first letter of a meter's id
-FIELD = Path(__file__).parent / "field.py"
+FIELD = "tests.support.field.field"
 TABLES = """
 [measurements]
 zero_injection = "virtual"
@@ -92,8 +92,8 @@ class Field:
         orders.write_text(json.dumps({"ports": self.ports, "meters": [asdict(meter) for meter in meters]}))
         with (folder / "field.log").open("w") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", str(FIELD), str(orders)],
-                env=ENVIRONMENT | {"PYTHONPATH": str(FIELD.parent)},
+                [sys.executable, "-P", "-m", FIELD, str(orders)],
+                env=ENVIRONMENT,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,

@@ -14,10 +14,10 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from waiting import DEADLINE_S
 
 from coordinator.process_run.fork_server import Ended, Started
 from coordinator.process_run.processes import Launcher
+from tests.support.waiting import DEADLINE_S
 
 IMPORTED_ONCE = (
     "agents.__main__",
@@ -62,7 +62,7 @@ class Parent:
     def __init__(self) -> None:
         self._processes: dict[str, ForkedProcess] = {}
         with pytest.MonkeyPatch.context() as patch:
-            patch.setenv("PYTHONPATH", str(Path(__file__).parent))  # where it finds ``become``
+            patch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))  # where it finds ``become``
             self._launcher = Launcher(self._take)
         self._launcher.preload(*IMPORTED_ONCE)
 
@@ -75,7 +75,7 @@ class Parent:
         name = str(len(self._processes))
         process = self._processes[name] = ForkedProcess()
         become = (list(arguments), folder.absolute(), dict(environment), out.absolute())
-        self._launcher.start(name, "forked:become", *become, log=err.absolute())
+        self._launcher.start(name, "tests.support.forked:become", *become, log=err.absolute())
         assert process.started.wait(DEADLINE_S), "the parent of forked processes does not answer"
         return process
 

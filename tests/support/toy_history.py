@@ -5,8 +5,9 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from toy_estimation import toy_numbers
-from toy_rounds import TRAVEL_S, TREES, RoundsMessage, ToyBus
+
+from tests.support.toy_estimation import toy_numbers
+from tests.support.toy_rounds import TRAVEL_S, TREES, RoundsMessage, ToyBus
 
 FAULTS_S = 4.0
 PATIENCE_S = 15.0  # afterwards

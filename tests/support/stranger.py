@@ -1,8 +1,8 @@
 """A process that should be kept out: it speaks and listens where it must not, or floods the router's port.
 
-python stranger.py lie ENDPOINT [KEYS NAME]     prints what it received as JSON after its last message
-python stranger.py connect ENDPOINT [KEYS NAME]   prints "in", or why not
-python stranger.py flood[-wildly] ENDPOINT        until it is killed
+python -m tests.support.stranger lie ENDPOINT [KEYS NAME]     prints what it received as JSON after its last message
+python -m tests.support.stranger connect ENDPOINT [KEYS NAME]   prints "in", or why not
+python -m tests.support.stranger flood[-wildly] ENDPOINT        until it is killed
 """
 
 from __future__ import annotations
@@ -17,9 +17,6 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from impostor import Impostor
-from waiting import DEADLINE_S
-
 from agents.messages.keys import all_from_neighbours, all_incarnations, neighbour_key, state_key, telemetry_key
 from agents.runtime.presence import begin_incarnation
 from agents.security.access import Access
@@ -27,6 +24,8 @@ from agents.security.credentials import Keys
 from agents.transport.zenoh_bus import Session, TransportError
 from coordinator.plant.telemetry_messages import make_payloads
 from scenarios.scenario import load_scenario
+from tests.support.impostor import Impostor
+from tests.support.waiting import DEADLINE_S
 
 RUN = "ieee33"
 ROUNDS = 300

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from dsse_command import free_port
-from system_by_hand import SystemByHand
-from waiting import DEADLINE_S, wait_until
+
+from tests.support.dsse_command import free_port
+from tests.support.system_by_hand import SystemByHand
+from tests.support.waiting import DEADLINE_S, wait_until
 
 CHROMIUM = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 

@@ -13,10 +13,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
-from forked import ForkedProcess, parent
-from waiting import DEADLINE_S
-
 from agents.messages.checks import MessageError
 from agents.messages.keys import all_live, all_states, name_of_live
 from agents.messages.packing import StateMessage, decode
@@ -27,6 +23,9 @@ from coordinator.evaluation.comparison import Gap, compare
 from coordinator.evaluation.evaluation import estimate_centralised, make_observer
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.dsse_command import COMMAND, ENVIRONMENT, free_endpoint
+from tests.support.forked import ForkedProcess, parent
+from tests.support.waiting import DEADLINE_S
 
 
 def prepare_by_hand(dsse: Callable[..., subprocess.CompletedProcess[str]], secured: bool) -> tuple[str, list[str]]:

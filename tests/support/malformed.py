@@ -15,7 +15,6 @@ from typing import Any
 import msgpack
 import pyarrow
 import pyarrow.parquet
-from recordings import AT, ME, RUN, appeared, entry_of, load_areas_of, make_readings, make_state
 
 from agents.messages.keys import live_key, state_key
 from agents.messages.packing import CommandMessage, Header, TelemetryMessage, encode, seal
@@ -24,6 +23,7 @@ from coordinator.recording.entries import APPEARED, LEFT, MESSAGE, NOTE
 from coordinator.recording.folder import begin_writing
 from coordinator.recording.frames import MARK, frame
 from coordinator.recording.segment_log import SegmentLog
+from tests.support.recordings import AT, ME, RUN, appeared, entry_of, load_areas_of, make_readings, make_state
 
 AREAS = load_areas_of()
 AREA = AREAS[0].area.name

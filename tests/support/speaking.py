@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from repeating import repeating
-
 from agents.transport.zenoh_bus import Session
+from tests.support.repeating import repeating
 
 HEARTBEAT_S = 0.1
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from simulated_bus import SimulatedBus
 
 from agents.messages.packing import Header, Incarnation, ReadingsMessage, TelemetryMessage
 from coordinator.deployment.split import area_files
@@ -19,6 +18,7 @@ from coordinator.simulator.simulator import STARTED_AT
 from dsse_core.grid.measurement import Measurement
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.simulated_bus import SimulatedBus
 
 SCAN_S = 1.0
 BY_CLOCK: Mapping[str, object] = {

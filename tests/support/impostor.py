@@ -13,13 +13,13 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID
-from waiting import DEADLINE_S
 
 from agents.security.access import Access
 from agents.security.credential_files import credentials_in
 from agents.security.credentials import Keys
 from agents.transport.bus_config import at_once, bus_config, in_the_background
 from coordinator.deployment.certificates import HERE, _host
+from tests.support.waiting import DEADLINE_S
 
 
 def let_listen(keys: Path, name: str) -> None:

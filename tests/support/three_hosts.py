@@ -14,15 +14,14 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from system_by_hand import SystemByHand, Watcher
-from units import DEPLOY, command_of, read_host_file
-
 from agents.messages.packing import StateMessage
 from coordinator.deployment.certificates import create_keys
 from coordinator.deployment.run_access import access_of
 from coordinator.deployment.split import write_area_files
 from coordinator.evaluation.comparison import Gap
 from scenarios.scenario import load_scenario
+from tests.support.system_by_hand import SystemByHand, Watcher
+from tests.support.units import DEPLOY, command_of, read_host_file
 
 RUN = "ieee33"
 LOCAL = "tls/127.0.0.1:7448"

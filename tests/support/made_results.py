@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from shown_states import published_by
 
 from agents.messages.packing import Incarnation, StateMessage
 from coordinator.evaluation.comparison import compare
@@ -18,6 +17,7 @@ from dsse_core.grid.partition import Area
 from dsse_core.results.results import results_of_estimate
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.shown_states import published_by
 
 GAPS = (1e-3, 1e-6, 1e-9)  # p.u., of the states that each area publishes
 AT_S = (0.5, 1.0, 3.0)

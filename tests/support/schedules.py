@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from toy_estimation import toy_numbers
-from toy_rounds import HEARTBEAT_S, TRAVEL_S, RoundsMessage, ToyBus
+from tests.support.toy_estimation import toy_numbers
+from tests.support.toy_rounds import HEARTBEAT_S, TRAVEL_S, RoundsMessage, ToyBus
 
 LOST = None
 DELAYS_S = (2.3 * TRAVEL_S, 0.015)  # behind the answers to others; behind a repeat of itself

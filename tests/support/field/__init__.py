@@ -1,0 +1,1 @@
+"""A feeder with meters, a broker, an OPC UA server and a Modbus device around it, as processes."""
