@@ -49,7 +49,7 @@ def main(only: str | None, most_buses: int, limit_s: float, all_s: float | None,
         try:
             networks = read_case(origin, name)
         except Exception as error:  # whatever the package that makes the case raises
-            unread.append(f"{origin} {name}: {_shorten(error)}")
+            unread.append(f"| {origin} {name} | {_shorten(error)} |")
             continue
         for part, network in networks:
             rows.append((origin, part, try_network(network, Limits(most_buses, limit_s))))
@@ -65,12 +65,11 @@ def format_tables(rows: Sequence[Row], unread: Sequence[str], left_out: Sequence
     """Counts of converged solutions, a row for each case, reasons of failures, and cases not read or not tried."""
     header = ["case", "buses", "branches", "power flow", *SETS]
     lines = ["| " + " | ".join(header) + " |", "|---|---:|---:|" + "---|" * (len(SETS) + 1)]
-    reasons = list(_list_reasons(rows))
+    reasons = [*_list_reasons(rows), *unread]
     parts = [
         format_counts(rows),
         "\n".join([*lines, *map(format_row, rows)]),
-        "\n".join(["Not converged:", "", *reasons]) if reasons else "All have converged.",
-        "\n".join(["Not read:", "", *(f"- {text}" for text in unread)]) if unread else "All cases are read.",
+        "\n".join(["| case | not converged, or not read |", "|---|---|", *reasons]),
         *([f"Not tried, as the time was over: {', '.join(left_out)}."] if left_out else []),
     ]
     return "\n\n".join(parts)
@@ -115,10 +114,10 @@ def _list_reasons(rows: Sequence[Row]) -> Iterator[str]:
         by_reason: Counter[str] = Counter(reason for _, reason in failed if reason)
         for reason in by_reason:
             which = "; ".join(what for what, other in failed if other == reason)
-            yield f"- {origin} {name} ({which}): {_shorten(reason)}"
+            yield f"| {origin} {name} | {which}: {_shorten(reason)} |"
 
 
 def _shorten(error: object) -> str:
     """The problems of a case without its path, or the text of an error, on one line."""
     text = " ".join(("; ".join(error.problems) if isinstance(error, InvalidInputError) else str(error)).split())
-    return text if len(text) <= LONGEST_REASON else f"{text[:LONGEST_REASON]} ..."
+    return (text if len(text) <= LONGEST_REASON else f"{text[:LONGEST_REASON]} ...").replace("|", r"\|")
