@@ -75,5 +75,8 @@ class AccessTable(FileTable):
 
     run: Name = Field(description="name of the system whose keys these are")
     revoked: list[str] = Field(default_factory=list)
+    """Names of stolen or retired keys."""
     neighbours: dict[Name, list[str]] = Field(min_length=1, description="area -> the areas that it meets")
+    """Each area, and its neighbours."""
     gateways: dict[Name, list[str]] = Field(default_factory=dict)
+    """Each gateway, and the areas to which it may send readings."""

@@ -14,12 +14,18 @@ class AdmmTable(Table):
     """``[admm]``."""
 
     penalty: Penalty = 1.0
+    """Pull of an area towards its neighbours, in units of what the areas know of their boundary by themselves.
+    It changes the duration of the exchange, not its end.
+    """
 
 
 class GenerationTable(Table):
     """``[load_messages]``: the generation that load messages state, metered or by the schedule."""
 
     generation: Literal["telemetered", "scheduled"] = "telemetered"
+    """Production of substation and sources in load messages: telemetered, or `p_mw` and `q_mvar` of the network
+    file.
+    """
 
 
 def require_a_band(table: AnyTable, lowest: str, highest: str) -> AnyTable:

@@ -21,12 +21,19 @@ class BusTable(Table):
     """One ``[[bus]]``."""
 
     id: int = Field(description="the number of the bus, its own in the network")
+    """Number of the bus, -10^15 to 10^15, also on the wire and in tables."""
     base_kv: Positive = Field(description="nominal voltage in kV")
+    """Nominal voltage."""
     name: str = ""
+    """For readers."""
     p_load_mw: float = 0.0
+    """Load, constant power."""
     q_load_mvar: float = 0.0
+    """Load, constant power."""
     g_shunt_mw: float = Field(default=0.0, description="MW that the shunt consumes at 1 p.u. voltage")
+    """Consumption of the shunt at 1 p.u. voltage."""
     b_shunt_mvar: float = Field(default=0.0, description="Mvar that the shunt produces at 1 p.u. voltage")
+    """Production of the shunt at 1 p.u. voltage: positive for a capacitor."""
 
 
 Form = TypeVar("Form", "BranchTable", "BranchColumns")
@@ -56,28 +63,49 @@ class BranchTable(Table):
     """One ``[[branch]]``: a line or a transformer, its tap at the from side."""
 
     from_: int = Field(alias="from", description="id of the bus at the tap side")
+    """Bus at the tap side."""
     to: int = Field(description="id of the bus at the other end")
+    """Bus at the other end."""
     id: str | None = Field(
         default=None,
         pattern=f"^{BRANCH_ID.pattern}$",
         description=f"at most {LONGEST_NAME} lower-case letters, digits, _ and -",
     )
+    """At most 64 lower-case letters, digits, `_` and `-`; `from-to` if left out, e.g. `3-4`, and for parallel
+    branches `3-4#2`, `3-4#3`.
+    """
     r_ohm: float | None = None
+    """Series resistance."""
     x_ohm: float | None = None
+    """Series reactance."""
     b_us: float | None = Field(default=None, description="total charging in microsiemens")
+    """Total charging, microsiemens; 0 if left out."""
     g_us: float | None = Field(default=None, description="total leakage or iron losses in microsiemens")
+    """Total leakage or iron losses, microsiemens; 0 if left out."""
     r_pu: float | None = None
+    """Series resistance."""
     x_pu: float | None = None
+    """Series reactance."""
     b_pu: float | None = Field(default=None, description="total charging in p.u.")
+    """Total charging; 0 if left out."""
     g_pu: float | None = Field(default=None, description="total leakage or iron losses in p.u.")
+    """Total leakage or iron losses; 0 if left out."""
     tap_ratio: Positive = Field(default=1.0, description="divides the from-side voltage; 1.0 for a line")
+    """Divides the from-side voltage: without load `v_to = v_from / tap_ratio`."""
     shift_deg: float = 0.0
+    """Phase shift: without load the angle of `to` is that of `from` minus the shift."""
     in_service: bool = True
+    """True where the branch is closed."""
     name: str = ""
+    """Name in results, beside the id."""
     rating_a: Positive | None = Field(default=None, description="current that the line may carry, at either end")
+    """Current in A that the line may carry at either end; both ends have one `base_kv`."""
     rating_mva: Positive | None = Field(
         default=None, description="apparent power that the branch may carry, at either end"
     )
+    """Apparent power in MVA that the branch may carry at either end, in place of `rating_a`. Loading is the
+    larger end by the rating.
+    """
 
     is_in_ohm = property(is_in_ohm)
     _has_one_complete_impedance = model_validator(mode="after")(has_one_complete_impedance)
@@ -141,11 +169,19 @@ class SourceTable(Table):
     """One ``[[source]]``: the substation or a generator."""
 
     bus: int = Field(description="id of the bus that the source feeds")
+    """Bus that is fed."""
     kind: Literal["slack", "voltage", "power"] = Field(description="slack: the substation; voltage: holds P and vm")
+    """`"slack"`: the substation, holds voltage and angle, exactly one. `"voltage"`: holds P and the voltage
+    magnitude. `"power"`: holds P and Q.
+    """
     p_mw: float = 0.0
+    """Production; for `"slack"` a schedule for load messages."""
     q_mvar: float = 0.0
+    """Production; for `"slack"` and `"voltage"` a schedule for load messages."""
     vm_pu: Positive | None = None
+    """Set-point; required for `"slack"` and `"voltage"`, rejected for `"power"`."""
     va_deg: float | None = None
+    """Angle of the slack, 0 if left out; rejected for other kinds."""
 
     @model_validator(mode="after")
     def _has_the_set_points_of_its_kind(self) -> Self:
@@ -182,5 +218,8 @@ class NetworkFile(FileTable):
     data_source: str = Field(min_length=1, description="where the data come from")
     base_mva: Positive = Field(description="base of the per-unit system in MVA")
     bus: Buses = Field(description="one [[bus]] for each bus, or a list for each key")
+    """`[[bus]]`, one for each bus."""
     branch: Branches = Field(description="one [[branch]] for each line and transformer, or a list for each key")
+    """`[[branch]]`, one for each line and transformer."""
     source: list[SourceTable] = Field(min_length=1, description="one [[source]] for the substation and each generator")
+    """`[[source]]`, one for the substation and one for each generator."""

@@ -80,8 +80,14 @@ class AreaTable(Table):
     """``[areas.NAME]``."""
 
     buses: list[int] = Field(min_length=1, description="numbers of the area's buses, shared boundary buses included")
+    """The area's buses, shared boundary buses included."""
     slack_bus: int | None = None
+    """Bus where the local power flow holds the voltage. Without it: the substation, else the first
+    voltage-holding source of the area, else the boundary bus towards the substation, with the voltage that the
+    neighbour publishes.
+    """
     slack_vm_pu: Positive | None = None
+    """Voltage held there, p.u.; goes together with `slack_bus`."""
 
     @model_validator(mode="after")
     def _slack_is_complete(self) -> Self:
@@ -94,12 +100,14 @@ class CountTable(Table):
     """``areas = { count = N }``."""
 
     count: int = Field(ge=1, description="how many areas, cut so that their sizes are balanced")
+    """Number of areas; at most as many as there are branches in no loop and groups of loops that share branches."""
 
 
 class SwitchesTable(Table):
     """``areas = { switches = [...] }``."""
 
     switches: list[str] = Field(min_length=1, description="ids of the branches to cut at, none of them in a loop")
+    """Ids of the branches to cut at, in service and in no loop."""
 
 
 def _kind_of_areas(value: object) -> str:
@@ -136,8 +144,11 @@ class IntervalTable(Table):
     """Interval of meters, and how their readings age."""
 
     period_s: Seconds | None = Field(default=None, description="interval of these meters, s")
+    """Interval of these meters."""
     aging_s: Seconds | None = None
+    """Age at which the variance of a reading has doubled; `period_s` if left out."""
     oldest_s: Seconds | None = None
+    """Age beyond which a reading is left out; five times the longer of `period_s` and `run.scan_s` if left out."""
 
     @model_validator(mode="after")
     def _ages_by_its_period(self) -> Self:
@@ -150,9 +161,13 @@ class SigmaTable(IntervalTable):
     """Meters whose sigma is given in percent or in p.u."""
 
     lowest_pu: float | None = None
+    """A reading below is out of range."""
     highest_pu: float | None = None
+    """A reading above is out of range."""
     sigma_percent: Sigma | None = Field(default=None, description=SIGMA_PERCENT)
+    """Standard deviation in percent of the true value."""
     sigma_pu: Sigma | None = Field(default=None, description=SIGMA_PU)
+    """Standard deviation in p.u.; `floor_kva` does not apply."""
 
     @model_validator(mode="after")
     def _has_exactly_one_sigma(self) -> Self:
@@ -170,21 +185,27 @@ class BusMeterTable(SigmaTable):
     """``measurements.voltage`` and ``measurements.injection``."""
 
     buses: BusSelection = Field(description='where the meters stand: "all" or a list of bus numbers')
+    """Buses of the meters."""
 
 
 class BranchMeterTable(SigmaTable):
     """``measurements.flow`` and ``measurements.current``."""
 
     branches: BranchSelection = Field(description='where the meters stand: "all" or a list of branch ids')
+    """Branches of the meters: all in service, or ids such as `"3-4"`."""
 
 
 class AngleMeterTable(IntervalTable):
     """``measurements.angle``."""
 
     buses: BusSelection = Field(description='where the meters stand: "all" or a list of bus numbers')
+    """Buses of meters of angle."""
     sigma_deg: Sigma = Field(description="standard deviation in degrees")
+    """Standard deviation of angles."""
     lowest_deg: float | None = None
+    """An angle below is out of range."""
     highest_deg: float | None = None
+    """An angle above is out of range."""
 
     @model_validator(mode="after")
     def _has_a_range(self) -> Self:
@@ -199,12 +220,26 @@ class MeasurementsTable(Table):
     floor_kva: Positive = Field(
         default=1.0, description="smallest standard deviation that a sigma_percent can mean, in kVA"
     )
+    """Smallest standard deviation of powers that a `sigma_percent` can mean, 1e-9 to 1e6 p.u.; for currents,
+    that power at 1 p.u. voltage.
+    """
     zero_injection: ZeroInjection = "virtual"
+    """Buses without load and source. `"virtual"`: they inject exactly nothing, a constraint for every
+    estimator, and have no injection meter. `"measured"`: buses like any other. A list: those listed are
+    virtual.
+    """
     voltage: BusMeterTable | None = None
+    """Meters of voltage magnitude."""
     angle: AngleMeterTable | None = None
+    """Meters of voltage angle; under `area-power-flow` to the area's own local slack."""
     flow: BranchMeterTable | None = None
+    """Meters of P and Q flow, at the from end of branches."""
     injection: BusMeterTable | None = None
+    """Meters of P and Q injection (production minus load). Under `area-power-flow` boundary buses have none: an
+    area's power flow knows only its net load there.
+    """
     current: BranchMeterTable | None = None
+    """Meters of current magnitude, at the from end of branches; they do not count for observability."""
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -216,18 +251,34 @@ class GrossErrorTable(Table):
     """One ``[[telemetry.gross_error]]``."""
 
     meter: str = Field(description="id of the meter, e.g. p_flow@3:3-4")
+    """Id of the meter: `vm@1`, `p_injection@4`, `q_flow@3:3-4`, `current@3:3-4`."""
     sigmas: GrossError = Field(description="what is added to the reading, in its standard deviations")
+    """Added to the reading, in standard deviations of the meter; also without noise."""
 
 
 class TelemetryTable(Table):
     """``[telemetry]``."""
 
     source: Literal["network", "area-power-flow", "file", "live"] = "network"
+    """`"network"`: readings of one true grid. `"live"`: from gateways while the system runs, `"file"`: from a
+    readings file; both without a truth, so no result has errors to it. `"area-power-flow"`, the thesis's mode:
+    every area reads its own power flow, with the scheduled net load of the rest of the grid, plus
+    `faults.load_error`, at its boundary buses; every local slack needs a known voltage.
+    """
     ticks: Ticks | None = Field(default=None, description='who numbers scans: "gateway" or "clock"')
+    """`"gateway"`: the gateway that leads numbers scans; the default unless `source` is `"live"`. `"clock"`:
+    the clock of each area does, at each multiple of `run.scan_s` in UTC, which must be given.
+    """
     leader: Name = LEADER
+    """The gateway that leads, with `ticks = "gateway"`."""
     file: str | None = Field(default=None, description="path of a readings file, relative to this file")
+    """Readings file, relative to this file; goes together with source `"file"`."""
     noise: bool = True
+    """Normally distributed errors of the meters' standard deviations are added, from `seed`, scan and meter
+    alone. Not with source `"file"` or `"live"`.
+    """
     gross_error: list[GrossErrorTable] = Field(default_factory=list)
+    """`[[telemetry.gross_error]]`, wrong meters."""
 
     @model_validator(mode="after")
     def _has_a_file_exactly_when_it_is_the_source(self) -> Self:
@@ -253,16 +304,22 @@ class GatewayTable(Table):
     """``[gateways.NAME]``."""
 
     areas: AreaSelection = Field(description='for which areas it reads meters: "all" or a list of areas')
+    """Areas in which it reads meters."""
     meters: list[str] | None = Field(default=None, min_length=1, description="ids of its meters, or shell patterns")
+    """Ids of its meters there, or patterns such as `"p_*@3:*"`; all if left out."""
 
 
 class QualityTable(Table):
     """``[quality]``."""
 
     lowest_vm_pu: NotNegative = DEFAULT_LIMITS.lowest_vm
+    """Lower end of the band of voltage magnitudes."""
     highest_vm_pu: Positive = DEFAULT_LIMITS.highest_vm
+    """Upper end; more than `lowest_vm_pu`."""
     most_removed: Probability = DEFAULT_LIMITS.most_removed
+    """Share of an area's meters, virtual ones not counted, that may be removed as bad data."""
     most_overdue: Probability = DEFAULT_LIMITS.most_overdue
+    """Share of an area's meters with an interval whose readings may be missing or overdue."""
 
     @model_validator(mode="after")
     def _is_a_band(self) -> Self:
@@ -273,8 +330,11 @@ class TolerancesTable(Table):
     """``[tolerances]``: limits of the agreement of areas and of an estimator's last step (rad and p.u.)."""
 
     consensus_va_rad: Positive = 1e-6
+    """Largest difference of angles at a boundary bus that counts as agreement."""
     consensus_vm_pu: Positive = 1e-6
+    """The same for magnitudes; not used under `angle-offset`."""
     estimator: Positive = 1e-6
+    """Largest last step of an estimator (p.u. and rad), where its steps shrink at a constant rate."""
 
 
 class RunTable(Table):
@@ -285,8 +345,14 @@ class RunTable(Table):
     """
 
     beat_s: HeartbeatSeconds = 0.2
+    """Time between two publications of the same state, and between two heartbeats at rest."""
     scan_s: ScanSeconds | None = None
+    """Time between two scans of `dsse plant` (`--every` overrides it); an area waits a quarter of it for its
+    readings. Without it there is one scan, and areas wait five `beat_s`. `dsse run` and `dsse simulate` judge
+    one scan and use that deadline only.
+    """
     timeout_s: Seconds = 30.0
+    """When a run without consensus ends; more than two `beat_s`. Compiling does not count."""
 
     @model_validator(mode="after")
     def _has_time_for_a_few_heartbeats(self) -> Self:
@@ -302,8 +368,15 @@ class TransportTable(Table):
     """
 
     kind: Literal["router", "neighbours"] = "router"
+    """Through a router, or on direct links between neighbouring areas, with plant and watchers linked to every
+    area.
+    """
     routers: Annotated[int, Field(ge=1, le=2)] = 1
+    """With two linked routers the loss of one is hardly felt. Only for kind `"router"`."""
     listen: str = Field(default="tcp/127.0.0.1:0", description="tcp/HOST:PORT; port 0 takes a free one")
+    """`"tcp/HOST:PORT"` of the first router, or of the first area, the others on the ports that follow. Port 0
+    takes free ports; `dsse plant` then needs `--connect` for each area.
+    """
 
     @field_validator("listen")
     @classmethod
@@ -325,6 +398,7 @@ class RecordTable(Table):
     """``[record]``: the run is recorded into ``recording`` in its run folder."""
 
     limit_gb: Positive | None = Field(default=None, description="size in GiB beyond which the oldest hours are removed")
+    """Size in GiB beyond which the oldest hours are removed."""
 
 
 class ScenarioFile(FileTable):
@@ -333,29 +407,52 @@ class ScenarioFile(FileTable):
     kind: ClassVar[FileKind] = SCENARIO_FILE
 
     version: Version = Field(description="version of this format, 1")
+    """Version of this format."""
     name: str | None = Field(
         default=None, min_length=1, max_length=LONGEST_NAME, description="what runs of it are called"
     )
+    """What runs are called, at most 64 letters; the file's name if left out. Systems that share a router or a
+    network of keys need different names.
+    """
     description: str = Field(min_length=1, description="one line that says what the scenario shows")
     seed: Seed = Field(default=1, description="seed of noise and losses")
+    """Seed of noise and losses: the same seed gives the same telemetry and the same losses."""
     network: str = Field(
         description="name of a shipped network, or path of a .toml or .json file relative to this file"
     )
+    """A shipped network (`ieee33`, `industrial13`), or the path of a network file (`.toml`, `.json`, or with
+    `/`) relative to this file.
+    """
     strategy: str = "information"
+    """How areas reach consensus: `"information"`, `"angle-offset"`, `"admm"`, or an [installed
+    one](../tutorials/own-strategy.md).
+    """
     areas: Areas = Field(
         description="one [areas.NAME] with its buses for each area, or { count = N }, or { switches = [...] }"
     )
+    """`[areas.NAME]`, one for each area; or `{ count = N }`; or `{ switches = [...] }`."""
     measurements: MeasurementsTable = MeasurementsTable()
+    """Meters and their accuracy."""
     telemetry: TelemetryTable = TelemetryTable()
+    """How readings are made, and what numbers scans."""
     gateways: dict[Name, GatewayTable] = Field(default_factory=dict)
+    """`[gateways.NAME]`: sources of readings in the field."""
     load_messages: GenerationTable = GenerationTable()
+    """Content of load messages between areas."""
     admm: AdmmTable = AdmmTable()
+    """Strategy `admm` only."""
     faults: FaultsTable = FaultsTable()
+    """What goes wrong."""
     quality: QualityTable = QualityTable()
+    """Limits of a state that is `good`."""
     tolerances: TolerancesTable = TolerancesTable()
+    """When areas agree, and when an estimator stops."""
     run: RunTable = RunTable()
+    """Timing."""
     transport: TransportTable = TransportTable()
+    """Way of the messages."""
     record: RecordTable | None = None
+    """Recording of a run."""
 
     @model_validator(mode="after")
     def _has_time_between_ticks(self) -> Self:

@@ -1,104 +1,61 @@
-"""docs/reference/scenario-files.md has every key of both file formats, with its default, and no other key."""
+"""docs/reference/scenario-files.md has every key of scenario and network files, as the schemas have them."""
 
 from __future__ import annotations
 
+import importlib.util
 import re
 from pathlib import Path
 
 import pytest
-from pydantic.fields import FieldInfo
 
 from dsse_core.files import shared_tables
-from dsse_core.files.strict_table import Table
+from dsse_core.files.strict_table import ColumnsTable
 from scenarios.files import fault_tables, network_tables, scenario_file
 
-REFERENCE = Path(__file__).parents[4] / "docs" / "reference" / "scenario-files.md"
-
-TABLE_OF_HEADING: dict[str, list[type[Table]]] = {
-    "Scenario file": [scenario_file.ScenarioFile],
-    "`[areas.NAME]`": [scenario_file.AreaTable],
-    "`areas = { count = N }`": [scenario_file.CountTable],
-    "`areas = { switches = [...] }`": [scenario_file.SwitchesTable],
-    "`[measurements]`": [scenario_file.MeasurementsTable],
-    "`measurements.voltage` and `measurements.injection`": [
-        scenario_file.BusMeterTable,
-        scenario_file.SigmaTable,
-        scenario_file.IntervalTable,
-    ],
-    "`measurements.flow` and `measurements.current`": [scenario_file.BranchMeterTable],
-    "`measurements.angle`": [scenario_file.AngleMeterTable],
-    "`[telemetry]`": [scenario_file.TelemetryTable],
-    "`[[telemetry.gross_error]]`": [scenario_file.GrossErrorTable],
-    "`[gateways.NAME]`": [scenario_file.GatewayTable],
-    "`[load_messages]`": [shared_tables.GenerationTable],
-    "`[admm]`": [shared_tables.AdmmTable],
-    "`[faults]`": [fault_tables.FaultsTable],
-    "`faults.burst`": [fault_tables.BurstTable],
-    "`[[faults.link]]`": [fault_tables.LinkTable],
-    "`faults.link.load`": [fault_tables.LoadFaultTable],
-    "`faults.link.lie`": [fault_tables.LieTable],
-    "`[faults.load_error.NAME]`": [fault_tables.LoadErrorTable],
-    "`[faults.telemetry]`": [fault_tables.TelemetryFaultsTable],
-    "`[[faults.events]]`": [fault_tables.EventTable],
-    "`[quality]`": [scenario_file.QualityTable],
-    "`[tolerances]`": [scenario_file.TolerancesTable],
-    "`[run]`": [scenario_file.RunTable],
-    "`[transport]`": [scenario_file.TransportTable],
-    "`[record]`": [scenario_file.RecordTable],
-    "Network file": [network_tables.NetworkFile],
-    "`[[bus]]`": [network_tables.BusTable, network_tables.BusColumns],
-    "`[[branch]]`": [network_tables.BranchTable, network_tables.BranchColumns],
-    "`[[source]]`": [network_tables.SourceTable],
-}
+DOCS = Path(__file__).parents[4] / "docs"
+SPEC = importlib.util.spec_from_file_location("key_tables", DOCS / "key_tables.py")
+assert SPEC is not None
+assert SPEC.loader is not None
+key_tables = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(key_tables)
+PAGES = [page for page in key_tables.PAGES if "<!-- keys " in page.read_text(encoding="utf-8")]
 
 
-def documented_defaults() -> dict[str, dict[str, str]]:
-    """Heading -> key -> text of the default column."""
-    defaults: dict[str, dict[str, str]] = {}
-    heading = ""
-    for line in REFERENCE.read_text(encoding="utf-8").splitlines():
-        if line.startswith("#"):
-            heading = line.lstrip("#").strip()
-        elif row := re.match(r"\| `(\w+)` \| .+? \| (.+?) \| .+ \|$", line):
-            defaults.setdefault(heading, {})[row[1]] = row[2]
-    return defaults
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_tables_of_keys_are_those_that_the_schemas_give(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert key_tables.write_tables(text) == text, "run: python docs/key_tables.py"
 
 
-def default_text(field: FieldInfo) -> str | None:
-    """The default column that a key must have; None for tables, whose text is free."""
-    if field.is_required():
-        return "required"
-    if isinstance(field.default, Table) or field.default_factory is not None:
-        return None
-    if field.default is None:
-        return "none"
-    if isinstance(field.default, bool):
-        return f"`{str(field.default).lower()}`"
-    return f'`"{field.default}"`' if isinstance(field.default, str) else f"`{field.default}`"
-
-
-def test_every_table_has_its_heading() -> None:
-    tables = {
-        value
-        for module in (scenario_file, shared_tables, fault_tables, network_tables)
-        for value in vars(module).values()
-        if isinstance(value, type) and issubclass(value, Table) and value.__module__ == module.__name__
+def test_every_schema_has_its_table_and_every_key_its_meaning() -> None:
+    shown = {
+        name for page in PAGES for found in key_tables.MARKED.finditer(page.read_text()) for name in found[1].split()
     }
-    assert tables == {table for found in TABLE_OF_HEADING.values() for table in found}
-    assert documented_defaults().keys() == TABLE_OF_HEADING.keys()
+    schemas = {name: table for name, table in key_tables.find_tables().items() if not issubclass(table, ColumnsTable)}
+    assert shown == schemas.keys()
+    rows = [row for name, table in schemas.items() if name != "LinkTable" for row in key_tables.list_rows(table)]
+    assert len(rows) > 100
+    assert [row for row in rows if re.search(r"\|\s*\|$", row)] == []
 
 
-@pytest.mark.parametrize("heading", TABLE_OF_HEADING)
-def test_every_key_stands_under_its_heading_with_its_default(heading: str) -> None:
-    documented = documented_defaults()[heading]
-    fields = {field.alias or name: field for name, field in TABLE_OF_HEADING[heading][0].model_fields.items()}
-    assert documented.keys() == fields.keys()
-    for key, field in fields.items():
-        if (expected := default_text(field)) is not None:
-            assert documented[key] == expected, key
+def test_types_and_defaults_are_in_words() -> None:
+    rows = {row.split("`")[1]: row for row in key_tables.list_rows(fault_tables.BurstTable)}
+    assert rows["enter"].startswith("| `enter` | number 0 to 1, required | ")
+    assert rows["loss"].startswith("| `loss` | number 0 to 1 (`1.0`) | ")
+    rows = {row.split("`")[1]: row for row in key_tables.list_rows(scenario_file.TransportTable)}
+    assert rows["kind"].startswith('| `kind` | `"router"`, `"neighbours"` (`"router"`) | ')
+    assert [row.split("|")[2] for row in key_tables.list_rows(shared_tables.AdmmTable)] == [
+        " number 1e-06 to 1000000 (`1.0`) "
+    ]
 
 
-@pytest.mark.parametrize("heading", ["`[[bus]]`", "`[[branch]]`"])
-def test_lists_have_the_keys_of_tables(heading: str) -> None:
-    keys = [[field.alias or name for name, field in table.model_fields.items()] for table in TABLE_OF_HEADING[heading]]
-    assert keys[0] == keys[1]
+@pytest.mark.parametrize(
+    ("table", "columns"),
+    [
+        (network_tables.BusTable, network_tables.BusColumns),
+        (network_tables.BranchTable, network_tables.BranchColumns),
+    ],
+)
+def test_lists_have_the_keys_of_tables(table: type, columns: type) -> None:
+    names = [[field.alias or name for name, field in of.model_fields.items()] for of in (table, columns)]
+    assert names[0] == names[1]

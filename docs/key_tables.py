@@ -1,0 +1,153 @@
+"""Tables of keys in the reference pages, written from the schemas of the files: ``python docs/key_tables.py``.
+
+A page has ``<!-- keys SCHEMA ... -->`` and ``<!-- end -->`` around each table. Each schema adds the keys that
+it does not inherit. The meaning of a key is the string below its field, or without one the field's description.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import itertools
+import re
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic.fields import FieldInfo
+
+from dsse_core.files import quantities
+from dsse_core.files.strict_table import Table
+
+PAGES = tuple((Path(__file__).parent / "reference").glob("*.md"))
+MODULES = (
+    "scenarios.files.scenario_file",
+    "scenarios.files.fault_tables",
+    "scenarios.files.network_tables",
+    "dsse_core.files.shared_tables",
+    "agents.security.access_file",
+)
+MARKED = re.compile(r"<!-- keys (?P<names>[\w ]+) -->\n.*?<!-- end -->", re.DOTALL)
+TYPES = {
+    "AreaSelection": '`"all"` or list of texts',
+    "Areas": "tables",
+    "Branches": "tables, or lists",
+    "BranchSelection": '`"all"` or list of texts',
+    "Buses": "tables, or lists",
+    "BusSelection": '`"all"` or list of integers',
+    "Milliseconds": "number >= 0",
+    "Moment": "number >= 0",
+    "Name": "text",
+    "Seconds": "number > 0",
+    "Sigma": "number > 0",
+    "Ticks": '`"gateway"`, `"clock"`',
+    "Version": "1",
+    "ZeroInjection": '`"virtual"`, `"measured"`, list of integers',
+    "bool": "true, false",
+    "float": "number",
+    "int": "integer",
+    "str": "text",
+}
+
+
+def find_tables() -> dict[str, type[Table]]:
+    """Name -> schema of each table of a file that a user writes."""
+    return {
+        name: value
+        for module in map(importlib.import_module, MODULES)
+        for name, value in vars(module).items()
+        if isinstance(value, type) and issubclass(value, Table) and value.__module__ == module.__name__
+    }
+
+
+def write_tables(text: str) -> str:
+    """``text`` of a page with its tables of keys as the schemas have them."""
+    tables = find_tables()
+
+    def write(found: re.Match[str]) -> str:
+        rows = [row for name in found["names"].split() for row in list_rows(tables[name])]
+        head = "| Key | Type (default) | Meaning |\n|---|---|---|"
+        return "\n".join([f"<!-- keys {found['names']} -->", "", head, *rows, "", "<!-- end -->"])
+
+    return MARKED.sub(write, text)
+
+
+def list_rows(table: type[Table]) -> Iterator[str]:
+    """A line for each key that ``table`` does not inherit."""
+    meanings = read_meanings(table)
+    for name, annotation in vars(table)["__annotations__"].items():
+        if name in table.model_fields:
+            field = table.model_fields[name]
+            meaning = meanings.get(name) or sentence(field.description or "")
+            kind = f"{type_of(annotation, field)}{default_of(field)}"
+            cells = (f"`{field.alias or name}`", kind, meaning)
+            yield "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
+
+
+def read_meanings(table: type[Table]) -> dict[str, str]:
+    """Field -> the string that stands below it in the source."""
+    body = ast.parse(textwrap.dedent(inspect.getsource(table))).body[0].body  # type: ignore[attr-defined]
+    return {
+        field.target.id: " ".join(below.value.value.split())
+        for field, below in itertools.pairwise(body)
+        if isinstance(field, ast.AnnAssign)
+        and isinstance(field.target, ast.Name)
+        and isinstance(below, ast.Expr)
+        and isinstance(below.value, ast.Constant)
+        and isinstance(below.value.value, str)
+    }
+
+
+def sentence(description: str) -> str:
+    return f"{description[:1].upper()}{description[1:]}." if description else ""
+
+
+def type_of(annotation: str, field: FieldInfo) -> str:
+    """Type of a key in words, with its range."""
+    name = annotation.removesuffix(" | None")
+    if name in TYPES:
+        return TYPES[name]
+    if options := re.fullmatch(r"Literal\[(.*)\]", name):
+        return ", ".join(f"`{option}`" for option in options[1].replace("'", '"').split(", "))
+    if name.startswith("list[") or name.startswith("dict["):
+        inner = re.sub(r"^\w+\[(?:\w+, )?(.*)\]$", r"\1", name)
+        return {"int": "list of integers", "str": "list of texts", "ClockError": "table"}.get(inner, "tables")
+    if name.endswith("Table"):
+        return "table"
+    limits = list(limits_of(getattr(quantities, name, None) or field.annotation)) + list(field.metadata)
+    lowest = next((limit.ge for limit in limits if getattr(limit, "ge", None) is not None), None)
+    above = next((limit.gt for limit in limits if getattr(limit, "gt", None) is not None), None)
+    highest = next((limit.le for limit in limits if getattr(limit, "le", None) is not None), None)
+    kind = "integer" if "int" in name or name == "Seed" else "number"
+    if above is not None:
+        return f"{kind} > {above:g}" + (f", at most {highest:g}" if highest is not None else "")
+    if highest is not None:
+        return f"{kind} {lowest:.10g} to {'2^63 - 1' if highest == 2**63 - 1 else f'{highest:.10g}'}"
+    return f"{kind} >= {lowest:g}" if lowest is not None else kind
+
+
+def limits_of(annotation: Any) -> Iterator[Any]:
+    """Bounds inside an annotation, its alternatives included."""
+    for part in get_args(annotation):
+        yield from part.metadata if isinstance(part, FieldInfo) else (part, *limits_of(part))
+
+
+def default_of(field: FieldInfo) -> str:
+    """Ending of the type: ``required``, the default in brackets, or nothing for a key that may be left out."""
+    if field.is_required():
+        return ", required"
+    if field.default is None or isinstance(field.default, Table) or field.default_factory is not None:
+        return ""
+    if isinstance(field.default, str):
+        return f' (`"{field.default}"`)'
+    return f" (`{str(field.default).lower() if isinstance(field.default, bool) else field.default}`)"
+
+
+if __name__ == "__main__":
+    for page in PAGES:
+        before = page.read_text(encoding="utf-8")
+        after = write_tables(before)
+        if after != before:
+            page.write_text(after, encoding="utf-8")
