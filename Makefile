@@ -16,11 +16,11 @@ linkcheck:  ## follows the links to other sites; needs a network, so CI does not
 	$(PYTHON) -m sphinx -q -b linkcheck docs build/linkcheck
 
 page-check:  ## types and units of the page's own code; needs node and npm
-	mkdir -p $(PAGE) && cp -r coordinator/web/static tests/page/. $(PAGE)
+	mkdir -p $(PAGE) && cp -r coordinator/show/web/static tests/page/. $(PAGE)
 	cd $(PAGE) && npm install --silent --no-audit --no-fund --no-package-lock && npx --no-install tsc -p . && node --test
 
-vendor:  ## fetches the libraries of the page anew, in the versions that coordinator/web/vendor.py names; needs npm
-	$(PYTHON) -m coordinator.web.vendor
+vendor:  ## fetches the libraries of the page anew, in the versions that coordinator/show/web/vendor.py names; needs npm
+	$(PYTHON) -m coordinator.show.web.vendor
 
 soak:  ## ten minutes of faults, then whole again
 	$(PYTHON) -m benchmarks.soak --minutes 10

@@ -35,7 +35,7 @@ from agents.protocol.quality import GOOD
 from agents.transport.zenoh_bus import Session
 from benchmarks.measuring.figures import figures_option, list_facts, write_section
 from benchmarks.measuring.machine import describe_machine
-from coordinator.deployment.split import write_area_files
+from coordinator.lab.deployment.split import write_area_files
 from dsse_core.grid.measurement import Source
 from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import solve_power_flow

@@ -23,8 +23,8 @@ from benchmarks.measuring.figures import conclude, figures_option
 from benchmarks.measuring.live_system import LiveSystem
 from benchmarks.measuring.machine import describe_machine
 from benchmarks.measuring.recorded import TABLES, Published, read_recorded, subscribe
-from coordinator.recording.closing import close_recording
-from coordinator.strategy_check import check_with_strategy
+from coordinator.lab.strategy_check import check_with_strategy
+from coordinator.watch.recording.closing import close_recording
 from scenarios.scenario import load_scenario
 
 PACKAGES = ("eclipse-zenoh", "numpy", "pyarrow")

@@ -24,7 +24,7 @@ from agents.security.access import ROUTER, SECOND_ROUTER
 from benchmarks.measuring.figures import figures_option, write_section
 from benchmarks.measuring.live_system import GAP, LiveSystem, States
 from benchmarks.measuring.machine import describe_machine
-from coordinator.strategy_check import check_with_strategy
+from coordinator.lab.strategy_check import check_with_strategy
 from scenarios.scenario import Scenario, load_scenario
 
 PACKAGES = ("eclipse-zenoh", "numpy")

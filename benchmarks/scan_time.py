@@ -16,7 +16,7 @@ from agents.protocol.rounds import RoundsProtocol
 from benchmarks.exchange.worlds import SCANS, draw_row, read_ieee33
 from benchmarks.fault_histories.history import World
 from benchmarks.measuring.machine import describe_machine
-from coordinator.simulator.simulator import SimulatedBus
+from coordinator.lab.simulator.simulator import SimulatedBus
 from dsse_core.link_faults import LinkFaults
 
 STEP_S = 0.001  # virtual time between two looks at whether all areas are at the end

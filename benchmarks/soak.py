@@ -28,7 +28,7 @@ from agents.security.access import PLANT, ROUTER
 from benchmarks.measuring.figures import conclude, figures_option
 from benchmarks.measuring.live_system import GAP, LiveSystem
 from benchmarks.measuring.machine import describe_machine
-from coordinator.strategy_check import check_with_strategy
+from coordinator.lab.strategy_check import check_with_strategy
 from scenarios.scenario import Scenario, load_scenario
 
 PACKAGES = ("eclipse-zenoh", "numpy")

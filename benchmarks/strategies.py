@@ -20,10 +20,10 @@ import click
 from agents.strategies.installed import list_strategies
 from benchmarks.measuring.figures import figures_option, write_section
 from benchmarks.measuring.machine import describe_machine
-from coordinator.evaluation.evaluation import choose_scenario
-from coordinator.studies.study_row import StudyRow
-from coordinator.studies.sweep import run_on_simulator, run_tasks
-from coordinator.studies.sweep_plan import make_plan, parse_vary
+from coordinator.lab.evaluation.evaluation import choose_scenario
+from coordinator.lab.studies.study_row import StudyRow
+from coordinator.lab.studies.sweep import run_on_simulator, run_tasks
+from coordinator.lab.studies.sweep_plan import make_plan, parse_vary
 
 Case = tuple[str, list[StudyRow]]  # runs of one strategy
 PACKAGES = ("numpy", "scipy", "numba")

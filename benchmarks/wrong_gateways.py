@@ -14,8 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from coordinator.deployment.split import area_files
-from coordinator.simulator.simulator import SimulatedBus
+from coordinator.lab.deployment.split import area_files
+from coordinator.lab.simulator.simulator import SimulatedBus
 from dsse_core.exchange.gateway_mistakes import (
     HIGHEST_LOAD,
     LOWEST_LOAD,

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from consensus_dsse.reproduction import thesis
     from consensus_dsse.studies import compare, sweep
     from coordinator import run, simulate
-    from coordinator.evaluation.result import RunResult
+    from coordinator.lab.evaluation.result import RunResult
     from dsse_core.errors import DsseError, InvalidInputError
     from dsse_core.estimation.batch import estimate_batch
     from dsse_core.estimation.plan import build_estimation_plan
@@ -46,7 +46,7 @@ _MODULES = {
     "Estimate": "consensus_dsse.centralised",
     "InvalidInputError": "dsse_core.errors",
     "PowerFlow": "consensus_dsse.centralised",
-    "RunResult": "coordinator.evaluation.result",
+    "RunResult": "coordinator.lab.evaluation.result",
     "Table": "dsse_core.results.table",
     "build_estimation_plan": "dsse_core.estimation.plan",
     "compare": "consensus_dsse.studies",

@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from coordinator.evaluation.evaluation import choose_scenario
+from coordinator.lab.evaluation.evaluation import choose_scenario
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.grid.network import Network

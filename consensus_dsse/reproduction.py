@@ -20,6 +20,6 @@ def thesis() -> Table:
     >>> bool(abs(table.difference_va_deg[sound]).max() < 0.15)
     True
     """
-    from coordinator.thesis.comparison import as_one_table, compare_tables
+    from coordinator.lab.thesis.comparison import as_one_table, compare_tables
 
     return as_one_table(compare_tables())

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from coordinator.evaluation.evaluation import choose_scenario
-from coordinator.studies.strategy_comparison import choose_strategies
-from coordinator.studies.study_row import ORIGIN, StudyRow
-from coordinator.studies.sweep import compare_side_by_side, run_on_simulator, run_tasks
-from coordinator.studies.sweep_plan import hash_scenario, make_plan
+from coordinator.lab.evaluation.evaluation import choose_scenario
+from coordinator.lab.studies.strategy_comparison import choose_strategies
+from coordinator.lab.studies.study_row import ORIGIN, StudyRow
+from coordinator.lab.studies.sweep import compare_side_by_side, run_on_simulator, run_tasks
+from coordinator.lab.studies.sweep_plan import hash_scenario, make_plan
 from dsse_core.results.table import Table
 from scenarios.scenario import Scenario
 

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from coordinator.evaluation.result import RunResult
-    from coordinator.observe.progress import Progress
+    from coordinator.lab.evaluation.result import RunResult
+    from coordinator.watch.observe.progress import Progress
     from scenarios.faults.faults import LinkChanges
     from scenarios.scenario import Scenario
 
@@ -63,18 +63,18 @@ def run(
         TransportError: the router cannot listen where the scenario says.
     """
     started = time.monotonic()
-    from coordinator.process_run.processes import Launcher
+    from coordinator.lab.process_run.processes import Launcher
 
     with Launcher() as launcher:  # the other processes' imports run beside ours
-        launcher.preload("coordinator.process_run.router_process", "agents.__main__", "coordinator.plant.plant")
+        launcher.preload("coordinator.lab.process_run.router_process", "agents.__main__", "coordinator.lab.plant.plant")
         if secure or keys is not None:
             launcher.preload("agents.security.access_file", "agents.security.certificate_checks")
-        from coordinator.process_run.run_scenario import run_scenario
+        from coordinator.lab.process_run.run_scenario import run_scenario
 
         result = run_scenario(launcher, scenario, started, out, seed, strategy, timeout_s, on_update, secure, keys)
     if plots:
-        from coordinator.report.run_files import write_report
-        from coordinator.report.settings import guess_arguments
+        from coordinator.show.report.run_files import write_report
+        from coordinator.show.report.settings import guess_arguments
 
         secured = ["--keys", str(keys)] if keys is not None else ["--secure"] if secure else []
         result = write_report(result, formats, [*guess_arguments(result.scenario, "run"), *secured])
@@ -109,12 +109,12 @@ def simulate(
     Raises:
         InvalidInputError: the scenario, the folder or a link fault cannot be used.
     """
-    from coordinator.simulator.simulate import simulate_scenario
+    from coordinator.lab.simulator.simulate import simulate_scenario
 
     result = simulate_scenario(scenario, out, seed, strategy, timeout_s, on_update, links or {})
     if plots:
-        from coordinator.report.run_files import write_report
-        from coordinator.report.settings import guess_arguments
+        from coordinator.show.report.run_files import write_report
+        from coordinator.show.report.settings import guess_arguments
 
         result = write_report(result, formats, guess_arguments(result.scenario, "simulate", links))
     return result

@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from coordinator import interrupts
+from coordinator.watch import interrupts
 
 SWITCH_S = 1e-3  # after which a computing thread yields to one with messages from the bus
 
@@ -54,7 +54,7 @@ def _run_command(arguments: Sequence[str]) -> int:
     from agents.runtime.heap import keep_small
     from coordinator.cli.main import report_interrupted, run_command
     from coordinator.cli.terminal import notify
-    from coordinator.process_run.compile_clock import clock
+    from coordinator.lab.process_run.compile_clock import clock
 
     keep_small()
     clock.notify = notify

@@ -12,7 +12,7 @@
 | SIGKILL | SIGTERM, which ends a process at once on systems without SIGKILL |
 | masks of signals | signals are not held back |
 | limit of open files | none |
-| fork | ordinary processes (``coordinator/process_run/fork_server.py``) |
+| fork | ordinary processes (``coordinator/lab/process_run/fork_server.py``) |
 | process groups | the process alone |
 """
 

@@ -171,7 +171,7 @@ class Session(RenewableBus):
         """Call ``callback(key, alive)`` for every token, those already there included.
 
         Watch tokens by name: a wildcard that matches the tokens of strangers blocks the router when they leave, also
-        after the wildcard was asked for (``coordinator/observe/watched_keys.py``).
+        after the wildcard was asked for (``coordinator/watch/observe/watched_keys.py``).
 
         After ``interrupt`` no token counts until it is seen again: the ends of tokens are not reported.
         """

@@ -22,9 +22,9 @@ from agents.protocol.quality import GOOD
 from benchmarks.measuring.figures import conclude, figures_option
 from benchmarks.measuring.live_system import GAP, LiveSystem
 from benchmarks.measuring.machine import describe_machine
-from coordinator.deployment.certificates import create_keys
-from coordinator.deployment.run_access import access_of
-from coordinator.strategy_check import check_with_strategy
+from coordinator.lab.deployment.certificates import create_keys
+from coordinator.lab.deployment.run_access import access_of
+from coordinator.lab.strategy_check import check_with_strategy
 from scenarios.scenario import load_scenario
 
 PACKAGES = ("eclipse-zenoh", "starlette", "uvicorn")

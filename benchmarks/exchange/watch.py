@@ -11,7 +11,7 @@ from agents.messages.packing import Message, StateMessage, decode
 from agents.protocol.quality import GOOD
 from agents.strategies.installed import load_strategy
 from benchmarks.fault_histories.history import World
-from coordinator.simulator.simulator import SimulatedBus
+from coordinator.lab.simulator.simulator import SimulatedBus
 from dsse_core.link_faults import LinkFaults
 
 LOAD, HEARTBEAT = "load", "heartbeat"  # kinds that say nothing of a boundary

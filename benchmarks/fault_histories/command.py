@@ -23,8 +23,8 @@ from rich.progress import track  # noqa: E402
 from benchmarks.fault_histories.history import GAP, HistoryOutcome, run_history  # noqa: E402
 from benchmarks.measuring.figures import figures_option, list_facts, write_section  # noqa: E402
 from benchmarks.measuring.machine import describe_machine  # noqa: E402
-from coordinator.studies.executors import open_executor, run_units  # noqa: E402
-from coordinator.studies.study_row import describe_versions  # noqa: E402
+from coordinator.lab.studies.executors import open_executor, run_units  # noqa: E402
+from coordinator.lab.studies.study_row import describe_versions  # noqa: E402
 from dsse_core.linear import choose  # noqa: E402
 
 PACKAGES = ("numpy", "scipy", "numba")

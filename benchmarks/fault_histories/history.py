@@ -18,7 +18,7 @@ from agents.area_files.area_file import AreaFile
 from agents.area_files.split_digest import stamp_split
 from agents.messages.packing import StateMessage
 from agents.protocol.quality import GOOD
-from coordinator.simulator.simulator import SimulatedBus
+from coordinator.lab.simulator.simulator import SimulatedBus
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source

@@ -26,9 +26,9 @@ from agents.messages.checks import MessageError
 from agents.strategies.installed import list_strategies, load_strategy
 from benchmarks.fuzz import parsing
 from benchmarks.fuzz.mutations import STEERING, spoil_bytes, spoil_text, spoil_tree
-from coordinator.deployment.split import area_files
-from coordinator.observe.view_text import format_view
-from coordinator.observe.watch import Watcher
+from coordinator.lab.deployment.split import area_files
+from coordinator.watch.observe.view_text import format_view
+from coordinator.watch.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.decision import Totals
 from dsse_core.grid.boundary import boundary_at

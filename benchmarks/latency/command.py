@@ -25,11 +25,11 @@ from agents.transport.zenoh_bus import Session
 from benchmarks.latency.helics_round_trip import time_helics_round_trips
 from benchmarks.latency.timed_agent import PING, PONG
 from benchmarks.measuring.machine import describe_machine
-from coordinator.deployment.split import write_area_files
-from coordinator.evaluation.evaluation import choose_scenario, estimate_centralised
-from coordinator.plant.telemetry_messages import make_payloads
-from coordinator.process_run.processes import Launcher
-from coordinator.strategy_check import check_with_strategy
+from coordinator.lab.deployment.split import write_area_files
+from coordinator.lab.evaluation.evaluation import choose_scenario, estimate_centralised
+from coordinator.lab.plant.telemetry_messages import make_payloads
+from coordinator.lab.process_run.processes import Launcher
+from coordinator.lab.strategy_check import check_with_strategy
 from dsse_core.errors import DsseError
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
@@ -92,11 +92,15 @@ def _make_scan(scenario: Scenario, payloads: dict[str, bytes], draw: int) -> Sca
 @contextmanager
 def _start(scenario: Scenario, launcher: Launcher, folder: Path) -> Iterator[Session]:
     """Router, echo and agents as processes, and a session of ours, once all areas are present."""
-    launcher.preload("coordinator.process_run.router_process", "benchmarks.latency.timed_agent")
+    launcher.preload("coordinator.lab.process_run.router_process", "benchmarks.latency.timed_agent")
     endpoints_file = folder / "router.endpoints"
     arguments = ["--listen", "tcp/127.0.0.1:0", "--endpoints-file", str(endpoints_file)]
     launcher.start(
-        "router", "coordinator.process_run.router_process:main", arguments, log=folder / "router.log", stop_last=True
+        "router",
+        "coordinator.lab.process_run.router_process:main",
+        arguments,
+        log=folder / "router.log",
+        stop_last=True,
     )
     _wait(endpoints_file.exists)
     endpoint = endpoints_file.read_text().split()[0]

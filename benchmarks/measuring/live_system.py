@@ -16,12 +16,13 @@ from agents.messages.packing import StateMessage, decode
 from agents.peers.freshness import PATIENCE_HEARTBEATS, is_old
 from agents.runtime.presence import begin_incarnation
 from agents.security.access import COORDINATOR
-from coordinator.evaluation.comparison import rows_of
-from coordinator.evaluation.evaluation import estimate_centralised
-from coordinator.process_run.faults.clock import RunClock
-from coordinator.process_run.fork_server import Ended, Started
-from coordinator.process_run.processes import Launcher, Updates
-from coordinator.process_run.system import System
+from coordinator.lab.evaluation.comparison import rows_of
+from coordinator.lab.evaluation.evaluation import estimate_centralised
+from coordinator.lab.process_run.faults.clock import RunClock
+from coordinator.lab.process_run.fork_server import Ended, Started
+from coordinator.lab.process_run.processes import Launcher
+from coordinator.lab.process_run.system import System
+from coordinator.watch.observe.updates import Updates
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 
@@ -70,7 +71,7 @@ class LiveSystem:
     def __enter__(self) -> Self:
         try:
             self._launcher.preload(
-                "coordinator.process_run.router_process", "agents.__main__", "coordinator.plant.plant"
+                "coordinator.lab.process_run.router_process", "agents.__main__", "coordinator.lab.plant.plant"
             )
             self.system.start_bus(lambda: self.take(LOOK_S) or None)
             self.system.start_agents()

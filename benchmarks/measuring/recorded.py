@@ -8,7 +8,7 @@ from pathlib import Path
 from agents.messages.keys import all_readings, all_states
 from agents.messages.packing import ReadingsMessage, StateMessage, decode
 from agents.transport.zenoh_bus import Session
-from coordinator.recording.parquet import read_rows
+from coordinator.watch.recording.parquet import read_rows
 
 TABLES = ("readings", "states")
 Published = tuple[str, str, int]

@@ -11,11 +11,11 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from benchmarks.page.feed import RUN, Feed
-from coordinator.evaluation.evaluation import choose_scenario
-from coordinator.observe.grid_tables import GridTables
-from coordinator.web import sources, stream
-from coordinator.web.server import Place, serve
-from coordinator.web.sources import LiveSource
+from coordinator.lab.evaluation.evaluation import choose_scenario
+from coordinator.show.web import sources, stream
+from coordinator.show.web.server import Place, serve
+from coordinator.show.web.sources import LiveSource
+from coordinator.watch.observe.grid_tables import GridTables
 
 START_S = 300.0
 

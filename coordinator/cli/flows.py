@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from coordinator.cli.terminal import bus_timeout_option, connect_option, keys_option, notify, show
-from coordinator.interrupts import end_orderly_on_signals
+from coordinator.watch.interrupts import end_orderly_on_signals
 
 TABLES = ("buses", "branches")
 
@@ -37,11 +37,11 @@ def flows(
         raise click.UsageError("--json and --csv both print on standard output; give one of them")
     from agents.area_files.reader import load_area_file
     from agents.strategies.installed import list_strategies
-    from coordinator.cli.live.address import RunAddress
-    from coordinator.cli.live.session import attach, wait_for_state
-    from coordinator.evaluation.table_files import format_csv, rows_as_json
-    from coordinator.observe.area_flows import make_area_flows
-    from coordinator.report.grid_text import format_state
+    from coordinator.show.report.grid_text import format_state
+    from coordinator.watch.observe.area_flows import make_area_flows
+    from coordinator.watch.observe.attachment import attach, wait_for_state
+    from coordinator.watch.observe.run_address import RunAddress
+    from coordinator.watch.tables.table_files import format_csv, rows_as_json
 
     end_orderly_on_signals()
     content = load_area_file(area_file, list_strategies())

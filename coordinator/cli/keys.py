@@ -48,9 +48,9 @@ def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id
                dsse keys create ieee33 --host grid-a.example --host 192.0.2.7
                dsse keys create my/neighbours.toml --host area1=grid-a.example
     """
-    from coordinator.deployment.certificates import create_keys
-    from coordinator.deployment.run_access import access_of
-    from coordinator.deployment.split import choose_run_id
+    from coordinator.lab.deployment.certificates import create_keys
+    from coordinator.lab.deployment.run_access import access_of
+    from coordinator.watch.observe.run_address import choose_run_id
     from scenarios.reading_rules import find_gateway_remark
     from scenarios.scenario import load_scenario
 

@@ -19,6 +19,7 @@ from coordinator.cli.live.record import record_commands
 from coordinator.cli.live.serve import serve
 from coordinator.cli.live.watch import watch_commands
 from coordinator.cli.networks import network_commands
+from coordinator.cli.operator import operator_commands
 from coordinator.cli.outputs import Output, check_parquet_option, hand_over, output_options, parquet_option
 from coordinator.cli.processes import process_commands
 from coordinator.cli.shipped import scenarios_commands
@@ -40,8 +41,7 @@ from coordinator.cli.terminal import (
     timeout_option,
 )
 from coordinator.cli.thesis import thesis
-from coordinator.interrupts import INTERRUPTED_CODE, decide, end_orderly_on_signals
-from coordinator.operate.command import operator_commands
+from coordinator.watch.interrupts import INTERRUPTED_CODE, decide, end_orderly_on_signals
 from dsse_core import compiling
 from dsse_core.errors import DsseError
 
@@ -83,7 +83,7 @@ def _compile_for_next_time(code: int) -> None:
     """
     if not compiling.has_done_without():
         return
-    from coordinator.process_run.compile_ahead import compile_for_next_time
+    from coordinator.lab.process_run.compile_ahead import compile_for_next_time
 
     decide(code)
     notify(
@@ -103,7 +103,7 @@ def report_interrupted() -> int:
 
 def _show_version(context: click.Context, _: click.Parameter, asked: bool) -> None:
     if asked and not context.resilient_parsing:
-        from coordinator.evaluation.answers import version_of
+        from coordinator.lab.evaluation.answers import version_of
 
         show(f"{DISTRIBUTION} {version_of(DISTRIBUTION) or 'in a folder, not installed'}")
         context.exit()
@@ -197,9 +197,9 @@ def check(scenario: str, changes: Mapping[str, object]) -> None:
     """
     from agents.area_files.reader import load_area_file
     from agents.strategies.installed import list_strategies
-    from coordinator.evaluation.evaluation import choose_scenario
-    from coordinator.report.text import format_area_check, format_check
-    from coordinator.strategy_check import check_with_strategy
+    from coordinator.lab.evaluation.evaluation import choose_scenario
+    from coordinator.lab.strategy_check import check_with_strategy
+    from coordinator.show.report.text import format_area_check, format_check
     from dsse_core.files.kinds import AREA_FILE
     from dsse_core.files.strict_table import OtherKindError
 
@@ -225,8 +225,8 @@ def powerflow(scenario: str, changes: Mapping[str, object], output: Output) -> N
                dsse powerflow ieee33 --csv branches
                dsse powerflow ieee33 --out results
     """
-    from coordinator.evaluation.answers import power_flow_as_json
-    from coordinator.report.grid_text import format_power_flow
+    from coordinator.lab.evaluation.answers import power_flow_as_json
+    from coordinator.show.report.grid_text import format_power_flow
     from dsse_core.grid.network import Network
     from dsse_core.power_flow.newton_raphson import solve_power_flow
     from dsse_core.results.results import TABLES, results_of_power_flow
@@ -264,7 +264,7 @@ def estimate(
                dsse estimate ieee33 --json --out results
                dsse estimate ieee33 --readings day.csv --out day
     """
-    from coordinator.evaluation.scan_estimates import load_scans_of, with_one_scan
+    from coordinator.lab.evaluation.scan_estimates import load_scans_of, with_one_scan
     from scenarios.scenario import load_scenario
 
     loaded = load_scenario(scenario, changes=changes, whole=output.is_text or readings is not None)
@@ -279,9 +279,9 @@ def estimate(
 
 
 def _estimate_once(loaded: Scenario, output: Output) -> None:
-    from coordinator.evaluation.answers import estimate_as_json
-    from coordinator.evaluation.whole_grid import estimate_whole_grid
-    from coordinator.report.grid_text import format_bad_data, format_estimate
+    from coordinator.lab.evaluation.answers import estimate_as_json
+    from coordinator.lab.evaluation.whole_grid import estimate_whole_grid
+    from coordinator.show.report.grid_text import format_bad_data, format_estimate
     from dsse_core.results.results import TABLES, results_of_estimate
 
     output.check_table(TABLES, "of one scan")
@@ -293,9 +293,9 @@ def _estimate_once(loaded: Scenario, output: Output) -> None:
 
 def _estimate_scans(loaded: Scenario, scans: Scans, output: Output) -> int:
     """Estimate every scan and print the results; the exit code, 1 if a scan has no estimate."""
-    from coordinator.evaluation.answers import scans_as_json
-    from coordinator.evaluation.scan_estimates import estimate_scans
-    from coordinator.report.scan_text import format_scans
+    from coordinator.lab.evaluation.answers import scans_as_json
+    from coordinator.lab.evaluation.scan_estimates import estimate_scans
+    from coordinator.show.report.scan_text import format_scans
     from dsse_core.results.scans import ScanTables
 
     output.check_table(ScanTables.names, "of many scans")

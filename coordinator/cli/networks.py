@@ -37,7 +37,7 @@ def partition(scenario: str, count: int | None, switches: tuple[str, ...], out: 
     if out is not None and out.suffix.lower() not in PICTURES:
         raise InvalidInputError("--out", [f"{out} has none of the endings {', '.join(PICTURES)}; give it one"])
     from agents.strategies.installed import list_strategies
-    from coordinator.report.area_table import format_area_tables, format_areas
+    from coordinator.show.report.area_table import format_area_tables, format_areas
     from scenarios.scenario import load_scenario
 
     changes: dict[str, object] = {}
@@ -49,7 +49,7 @@ def partition(scenario: str, count: int | None, switches: tuple[str, ...], out: 
     loaded = load_scenario(scenario, strategies=list_strategies(), changes=changes)
     show(format_area_tables(loaded.partition) if toml else format_areas(loaded))
     if out is not None:
-        from coordinator.figures.draw_areas import draw_areas
+        from coordinator.show.figures.draw_areas import draw_areas
 
         out.parent.mkdir(parents=True, exist_ok=True)
         draw_areas(loaded.partition, out)
@@ -147,7 +147,7 @@ def _check(path: Path, source: Path) -> None:
     Raises:
         InvalidInputError: it cannot be estimated, as for a source with too few measurements."""
     from agents.strategies.installed import list_strategies
-    from coordinator.strategy_check import check_with_strategy
+    from coordinator.lab.strategy_check import check_with_strategy
     from scenarios.scenario import load_scenario
 
     try:

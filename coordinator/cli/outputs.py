@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coordinator.cli.terminal import notify, show
-from coordinator.run_folder import result_folder
+from coordinator.watch.run_folder import result_folder
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
-    from coordinator.evaluation.table_files import Tables
+    from coordinator.watch.tables.table_files import Tables
 
 TABLES = ("buses", "branches", "meters", "areas")
 CHOICES = (*TABLES, "scans")
@@ -74,7 +74,7 @@ def check_parquet_option(parquet: bool) -> None:
     Raises:
         InvalidInputError: pyarrow is not installed."""
     if parquet:
-        from coordinator.evaluation.table_files import check_parquet
+        from coordinator.watch.tables.table_files import check_parquet
 
         check_parquet()
 
@@ -94,11 +94,11 @@ def hand_over(
     if output.folder is not None:
         _write_files(output.folder, output.parquet, tables, content())
     if output.as_json:
-        from coordinator.evaluation.table_files import tables_as_json
+        from coordinator.watch.tables.table_files import tables_as_json
 
         show(json.dumps(content() | tables_as_json(tables), allow_nan=False))
     elif output.csv:
-        from coordinator.evaluation.table_files import format_csv
+        from coordinator.watch.tables.table_files import format_csv
 
         show(format_csv(getattr(tables, output.csv)))
     else:
@@ -111,7 +111,7 @@ def hand_over(
 
 
 def _write_files(folder: Path, parquet: bool, tables: Tables, content: dict[str, Any]) -> None:
-    from coordinator.evaluation.table_files import write_json, write_parquet, write_tables
+    from coordinator.watch.tables.table_files import write_json, write_parquet, write_tables
 
     write_json(folder / "result.json", content)
     write_tables(folder, tables)

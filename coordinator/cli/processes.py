@@ -48,10 +48,11 @@ def split(
     Examples:  dsse split ieee33 --out areas --connect tcp/192.0.2.7:7447
                dsse split ieee33 --out areas --secure
     """
-    from coordinator.deployment.endpoints import choose_area_endpoints
-    from coordinator.deployment.split import choose_run_id, write_area_files
-    from coordinator.evaluation.evaluation import choose_scenario
-    from coordinator.strategy_check import check_with_strategy
+    from coordinator.lab.deployment.endpoints import choose_area_endpoints
+    from coordinator.lab.deployment.split import write_area_files
+    from coordinator.lab.evaluation.evaluation import choose_scenario
+    from coordinator.lab.strategy_check import check_with_strategy
+    from coordinator.watch.observe.run_address import choose_run_id
     from scenarios.files.whole_folder import written_whole
 
     prepared = check_with_strategy(choose_scenario(scenario, seed))
@@ -109,7 +110,7 @@ def router(
                dsse router --listen tcp/0.0.0.0:7448 --connect tcp/192.0.2.7:7447
                dsse router --scenario ieee33
     """
-    from coordinator.process_run.router_process import main
+    from coordinator.lab.process_run.router_process import main
 
     if scenario and keys:
         raise click.UsageError("--scenario and --keys: the rules of access beside the keys name the areas already")
@@ -122,8 +123,8 @@ def router(
 
 def _access_of(scenario: str, run_id: str | None) -> Access:
     """Processes and rights of a run of ``scenario``."""
-    from coordinator.deployment.run_access import access_without_keys
-    from coordinator.deployment.split import choose_run_id
+    from coordinator.lab.deployment.run_access import access_without_keys
+    from coordinator.watch.observe.run_address import choose_run_id
     from scenarios.scenario import load_scenario
 
     loaded = load_scenario(scenario)
@@ -159,12 +160,12 @@ def plant(
     \b
     Example:  dsse plant ieee33 --connect tcp/192.0.2.7:7447
     """
-    from coordinator.deployment.endpoints import known_area_endpoints
-    from coordinator.deployment.split import choose_run_id
-    from coordinator.evaluation.evaluation import choose_scenario
-    from coordinator.plant.plant import run_plant
-    from coordinator.plant.scans import OwnScans
-    from coordinator.strategy_check import check_with_strategy
+    from coordinator.lab.deployment.endpoints import known_area_endpoints
+    from coordinator.lab.evaluation.evaluation import choose_scenario
+    from coordinator.lab.plant.plant import run_plant
+    from coordinator.lab.plant.scans import OwnScans
+    from coordinator.lab.strategy_check import check_with_strategy
+    from coordinator.watch.observe.run_address import choose_run_id
 
     prepared = check_with_strategy(choose_scenario(scenario, seed))
     every = every or prepared.run.scan_s or prepared.renew_s
@@ -196,7 +197,7 @@ def compile_() -> None:
     \b
     Example:  sudo /opt/dsse/bin/dsse compile
     """
-    from coordinator.process_run.compile_ahead import compile_ahead
+    from coordinator.lab.process_run.compile_ahead import compile_ahead
 
     ahead = compile_ahead()
     show(f"kept in {ahead.folder}" if ahead.folder else f"is compiled already, in {' or '.join(ahead.found_in)}")

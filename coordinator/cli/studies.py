@@ -28,16 +28,16 @@ from coordinator.cli.terminal import (
     strategy_option,
     timeout_option,
 )
-from coordinator.interrupts import end_orderly_on_signals
+from coordinator.watch.interrupts import end_orderly_on_signals
 from dsse_core import operating_system
 from dsse_core.printable import printable
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
     from concurrent.futures import Executor
 
-    from coordinator.evaluation.result import RunOutcome
-    from coordinator.studies.sweep_plan import SweepPlan
-    from coordinator.studies.sweep_table import SweepTable
+    from coordinator.lab.evaluation.result import RunOutcome
+    from coordinator.lab.studies.sweep_plan import SweepPlan
+    from coordinator.lab.studies.sweep_table import SweepTable
     from scenarios.faults.faults import LinkChanges
     from scenarios.scenario import Scenario
 
@@ -104,7 +104,7 @@ def simulate(
                dsse simulate ieee33 --delay-ms 20 --jitter-ms 100 --duplicate 0.1
                dsse simulate ieee33 --set faults.loss=0.3 --set areas={count=5}
     """
-    from coordinator.simulator.simulate import simulate_scenario
+    from coordinator.lab.simulator.simulate import simulate_scenario
 
     check_parquet_option(parquet)
     end_orderly_on_signals()
@@ -145,8 +145,8 @@ def compare(
     Examples:  dsse compare ieee33-lossy
                dsse compare ieee33 --strategies angle-offset,information --processes --out comparison
     """
-    from coordinator.evaluation.evaluation import choose_scenario
-    from coordinator.studies.strategy_comparison import choose_strategies, compare_strategies, format_comparison
+    from coordinator.lab.evaluation.evaluation import choose_scenario
+    from coordinator.lab.studies.strategy_comparison import choose_strategies, compare_strategies, format_comparison
 
     if out is None and asked_for_formats():
         raise click.UsageError("--format draws figures into files; say where with --out DIR")
@@ -157,8 +157,8 @@ def compare(
     if executor is not None and (processes or out is not None):
         raise click.UsageError("--executor gives the table only; leave out --processes and --out")
     if not processes and out is None:
-        from coordinator.studies.executors import open_executor
-        from coordinator.studies.sweep import compare_side_by_side
+        from coordinator.lab.studies.executors import open_executor
+        from coordinator.lab.studies.sweep import compare_side_by_side
 
         with contextlib.nullcontext() if executor is None else open_executor(executor) as workers:
             rows = compare_side_by_side(loaded, chosen, workers)
@@ -171,7 +171,7 @@ def compare(
     show(format_comparison(rows))
     if out is not None:
         if formats is not None:
-            from coordinator.studies.study_report import report_comparison
+            from coordinator.show.report.study_report import report_comparison
 
             report_comparison(out, loaded, rows, outcomes, formats, given_arguments())
         show(f"\nfiles: {printable(out)}")
@@ -192,7 +192,7 @@ def _run_processes(scenario: Scenario, folder: Path) -> RunOutcome:
 
 
 def _run_on_simulator(scenario: Scenario, folder: Path) -> RunOutcome:
-    from coordinator.simulator.simulate import simulate_scenario
+    from coordinator.lab.simulator.simulate import simulate_scenario
 
     notify(f"{scenario.strategy} ...")
     return simulate_scenario(scenario, folder)
@@ -236,10 +236,10 @@ def sweep(
                dsse sweep ieee33 --vary 'areas={count=2},{count=4}'
                dsse sweep ieee33 --vary faults.loss=0:0.9:10 --executor dask://127.0.0.1:8786 --out sweep
     """
-    from coordinator.studies.executors import open_executor
-    from coordinator.studies.strategy_comparison import choose_strategies
-    from coordinator.studies.sweep_plan import make_plan, parse_vary
-    from coordinator.studies.sweep_table import SweepTable
+    from coordinator.lab.studies.executors import open_executor
+    from coordinator.lab.studies.strategy_comparison import choose_strategies
+    from coordinator.lab.studies.sweep_plan import make_plan, parse_vary
+    from coordinator.lab.studies.sweep_table import SweepTable
 
     if executor is not None and jobs is not None:
         raise click.UsageError("--jobs is of this machine; give one of --executor and --jobs")
@@ -267,7 +267,7 @@ def _run_missing(plan: SweepPlan, table: SweepTable, jobs: int, quiet: bool, exe
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from coordinator.studies.sweep import run_tasks
+    from coordinator.lab.studies.sweep import run_tasks
 
     missing = [task for task in plan.tasks if task not in table.rows]
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -280,7 +280,7 @@ def _run_missing(plan: SweepPlan, table: SweepTable, jobs: int, quiet: bool, exe
 
 def _report(plan: SweepPlan, table: SweepTable, folder: Path, formats: tuple[str, ...] | None) -> None:
     if table.rows and formats is not None:
-        from coordinator.studies.study_report import report_sweep
+        from coordinator.show.report.study_report import report_sweep
 
         report_sweep(folder, plan, table.rows, formats, given_arguments())
 

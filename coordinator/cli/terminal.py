@@ -17,16 +17,16 @@ import click
 
 from agents.runtime.heap import keep_all
 from coordinator.cli.figure_options import given_arguments
-from coordinator.interrupts import decide
-from coordinator.process_run.compile_clock import clock
+from coordinator.lab.process_run.compile_clock import clock
+from coordinator.watch.interrupts import decide
 from dsse_core.compiling import only_loading
 from dsse_core.endpoints import check_endpoints
 from dsse_core.limits import LARGEST_SEED, LONGEST_S
 from dsse_core.printable import printable_lines
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
-    from coordinator.evaluation.result import RunResult
-    from coordinator.observe.progress import Progress
+    from coordinator.lab.evaluation.result import RunResult
+    from coordinator.watch.observe.progress import Progress
     from scenarios.scenario import Scenario
 
 PROGRESS_LINE_S = 1.0
@@ -100,7 +100,7 @@ def changed(scenario: str, changes: Mapping[str, object]) -> str | Scenario:
     """The scenario with ``changes``; its name where there are none, so that the file is read where it is needed."""
     if not changes:
         return scenario
-    from coordinator.evaluation.evaluation import choose_scenario
+    from coordinator.lab.evaluation.evaluation import choose_scenario
 
     return choose_scenario(scenario, changes=changes)
 
@@ -180,7 +180,7 @@ def finish_run(result: RunResult, formats: Sequence[str] | None, parquet: bool) 
     """Print the verdict, write Parquet if asked for, figures and report unless ``formats`` is None, and return the exit
     code, which signals that come later do not change.
     """
-    from coordinator.report.text import format_verdict
+    from coordinator.show.report.text import format_verdict
 
     verdict, code = format_verdict(result), 2 if result.unwritten else 0 if result.verdict.consensus else 1
     decide(code)
@@ -188,11 +188,11 @@ def finish_run(result: RunResult, formats: Sequence[str] | None, parquet: bool) 
     if result.unwritten:
         return _report_unwritten(result)
     if parquet:
-        from coordinator.evaluation.table_files import write_parquet
+        from coordinator.watch.tables.table_files import write_parquet
 
         write_parquet(result.folder, result.tables)
     if formats is not None:
-        from coordinator.report.run_files import write_report
+        from coordinator.show.report.run_files import write_report
 
         if (written := write_report(result, formats, given_arguments())).unwritten:
             return _report_unwritten(written)
@@ -223,7 +223,7 @@ def _show_live(title: str, stack: ExitStack) -> Callable[[Progress], None]:
     def show(progress: Progress) -> None:
         nonlocal table
         if table is None:
-            from coordinator.observe.live import live_table  # now, when the areas are at work and there is time
+            from coordinator.watch.observe.live import live_table  # now, when the areas are at work and there is time
 
             table = stack.enter_context(live_table(title))
         table(progress)

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from coordinator.cli.terminal import show
-from coordinator.interrupts import end_orderly_on_signals
+from coordinator.watch.interrupts import end_orderly_on_signals
 from dsse_core.printable import printable
 
 FILE = "thesis.csv"
@@ -28,9 +28,9 @@ def thesis(tables: tuple[str, ...], summary: bool, out: Path | None) -> None:
     Examples:  dsse thesis --summary
                dsse thesis --table 5.9 --table 5.12 --out thesis
     """
-    from coordinator.evaluation.table_files import write_csv
-    from coordinator.run_folder import result_folder
-    from coordinator.thesis.comparison import as_one_table, compare_tables, format_compared, format_summary
+    from coordinator.lab.thesis.comparison import as_one_table, compare_tables, format_compared, format_summary
+    from coordinator.watch.run_folder import result_folder
+    from coordinator.watch.tables.table_files import write_csv
     from dsse_core.files.drafts import whole_file
 
     end_orderly_on_signals()

@@ -2,7 +2,7 @@
 
 import asyncio
 
-from coordinator.gateway import Emit, Source, Table
+from coordinator.field.gateway import Emit, Source, Table
 
 
 class UdpSettings(Table):

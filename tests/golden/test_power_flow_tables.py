@@ -14,7 +14,7 @@ from scenarios.files.network_file import load_case
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
-TABLES = Path(__file__).parents[2] / "coordinator" / "thesis" / "tables"
+TABLES = Path(__file__).parents[2] / "coordinator" / "lab" / "thesis" / "tables"
 VM_TOLERANCE = 0.0012
 VA_TOLERANCE_DEG = 0.04
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from agents.protocol import published_state
-from coordinator.simulator.simulator import TRAVEL_S
+from coordinator.lab.simulator.simulator import TRAVEL_S
 from dsse_core.exchange import area_estimation
 from dsse_core.linear.area_model import AreaModel
 from tests.support.exact_exchange import settle_bus

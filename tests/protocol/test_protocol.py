@@ -10,8 +10,8 @@ from agents.protocol.choose import make_protocol
 from agents.protocol.events import Finish, PresenceChanged, Publish, Received, Rejected, StopRequested
 from agents.strategies.admm_boundary import AdmmMessage
 from agents.strategies.angle_offset import BoundaryMessage
-from coordinator.plant.telemetry_messages import make_message
-from coordinator.simulator.simulator import STARTED_AT
+from coordinator.lab.plant.telemetry_messages import make_message
+from coordinator.lab.simulator.simulator import STARTED_AT
 from dsse_core.grid.boundary import boundary_at
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry

@@ -15,19 +15,19 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.process_run.fork_server import Ended, Started
-from coordinator.process_run.processes import Launcher
+from coordinator.lab.process_run.fork_server import Ended, Started
+from coordinator.lab.process_run.processes import Launcher
 from tests.support.waiting import DEADLINE_S
 
 IMPORTED_ONCE = (
     "agents.__main__",
     "coordinator.cli.main",
-    "coordinator.cli.live.session",
-    "coordinator.deployment.certificates",
-    "coordinator.deployment.split",
-    "coordinator.plant.plant",
-    "coordinator.process_run.router_process",
-    "coordinator.process_run.run_scenario",
+    "coordinator.watch.observe.attachment",
+    "coordinator.lab.deployment.certificates",
+    "coordinator.lab.deployment.split",
+    "coordinator.lab.plant.plant",
+    "coordinator.lab.process_run.router_process",
+    "coordinator.lab.process_run.run_scenario",
 )
 
 

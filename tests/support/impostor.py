@@ -18,7 +18,7 @@ from agents.security.access import Access
 from agents.security.credential_files import credentials_in
 from agents.security.credentials import Keys
 from agents.transport.bus_config import at_once, bus_config, in_the_background
-from coordinator.deployment.certificates import HERE, _host
+from coordinator.lab.deployment.certificates import HERE, _host
 from tests.support.waiting import DEADLINE_S
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from agents.messages.packing import Incarnation, StateMessage
-from coordinator.evaluation.comparison import compare
-from coordinator.evaluation.result import RunResult, make_area_results
-from coordinator.evaluation.verdict import make_verdict
-from coordinator.observe.observer import Observer
+from coordinator.lab.evaluation.comparison import compare
+from coordinator.lab.evaluation.result import RunResult, make_area_results
+from coordinator.lab.evaluation.verdict import make_verdict
+from coordinator.watch.observe.observer import Observer
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.grid.partition import Area
 from dsse_core.results.results import results_of_estimate

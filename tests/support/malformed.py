@@ -18,11 +18,11 @@ import pyarrow.parquet
 
 from agents.messages.keys import live_key, state_key
 from agents.messages.packing import CommandMessage, Header, TelemetryMessage, encode, seal
-from coordinator.recording.closing import close_ended
-from coordinator.recording.entries import APPEARED, LEFT, MESSAGE, NOTE
-from coordinator.recording.folder import begin_writing
-from coordinator.recording.frames import MARK, frame
-from coordinator.recording.segment_log import SegmentLog
+from coordinator.watch.recording.closing import close_ended
+from coordinator.watch.recording.entries import APPEARED, LEFT, MESSAGE, NOTE
+from coordinator.watch.recording.folder import begin_writing
+from coordinator.watch.recording.frames import MARK, frame
+from coordinator.watch.recording.segment_log import SegmentLog
 from tests.support.recordings import AT, ME, RUN, appeared, entry_of, load_areas_of, make_readings, make_state
 
 AREAS = load_areas_of()

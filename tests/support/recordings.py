@@ -8,12 +8,12 @@ from pathlib import Path
 from agents.area_files.area_file import AreaFile
 from agents.messages.keys import live_key, readings_key, state_key
 from agents.messages.packing import Header, Incarnation, ReadingsMessage, StateMessage, encode
-from coordinator.deployment.split import area_files
-from coordinator.recording.entries import APPEARED, MESSAGE, Entry
-from coordinator.recording.folder import begin_writing
-from coordinator.recording.recorder import Recorder
-from coordinator.recording.segment_log import SegmentLog
-from coordinator.simulator.simulator import STARTED_AT, SimulatedBus
+from coordinator.lab.deployment.split import area_files
+from coordinator.lab.simulator.simulator import STARTED_AT, SimulatedBus
+from coordinator.watch.recording.entries import APPEARED, MESSAGE, Entry
+from coordinator.watch.recording.folder import begin_writing
+from coordinator.watch.recording.recorder import Recorder
+from coordinator.watch.recording.segment_log import SegmentLog
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
 

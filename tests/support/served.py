@@ -12,15 +12,15 @@ from typing import Any
 
 import httpx
 
-from coordinator.evaluation.evaluation import choose_scenario
-from coordinator.http_front import Front
-from coordinator.observe.watch import Watcher
-from coordinator.simulator.simulate import Simulation
-from coordinator.web.app import make_app
-from coordinator.web.playback.play import Play
-from coordinator.web.playback.source import PlaybackSource
-from coordinator.web.server import Place, serve
-from coordinator.web.sources import LiveSource, Source
+from coordinator.lab.evaluation.evaluation import choose_scenario
+from coordinator.lab.simulator.simulate import Simulation
+from coordinator.show.web.app import make_app
+from coordinator.show.web.playback.play import Play
+from coordinator.show.web.playback.source import PlaybackSource
+from coordinator.show.web.server import Place, serve
+from coordinator.show.web.sources import LiveSource, Source
+from coordinator.watch.http_front import Front
+from coordinator.watch.observe.watch import Watcher
 
 HOST = "127.0.0.1:8080"
 

@@ -22,7 +22,7 @@ from agents.runtime.presence import begin_incarnation
 from agents.security.access import Access
 from agents.security.credentials import Keys
 from agents.transport.zenoh_bus import Session, TransportError
-from coordinator.plant.telemetry_messages import make_payloads
+from coordinator.lab.plant.telemetry_messages import make_payloads
 from scenarios.scenario import load_scenario
 from tests.support.impostor import Impostor
 from tests.support.waiting import DEADLINE_S

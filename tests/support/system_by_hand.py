@@ -19,8 +19,8 @@ from agents.messages.packing import StateMessage, decode
 from agents.runtime.presence import Presence
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session
-from coordinator.evaluation.comparison import Gap, compare
-from coordinator.evaluation.evaluation import estimate_centralised, make_observer
+from coordinator.lab.evaluation.comparison import Gap, compare
+from coordinator.lab.evaluation.evaluation import estimate_centralised, make_observer
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 from tests.support.dsse_command import COMMAND, ENVIRONMENT, free_endpoint

@@ -15,10 +15,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from agents.messages.packing import StateMessage
-from coordinator.deployment.certificates import create_keys
-from coordinator.deployment.run_access import access_of
-from coordinator.deployment.split import write_area_files
-from coordinator.evaluation.comparison import Gap
+from coordinator.lab.deployment.certificates import create_keys
+from coordinator.lab.deployment.run_access import access_of
+from coordinator.lab.deployment.split import write_area_files
+from coordinator.lab.evaluation.comparison import Gap
 from scenarios.scenario import load_scenario
 from tests.support.system_by_hand import SystemByHand, Watcher
 from tests.support.units import DEPLOY, command_of, read_host_file

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from agents.messages.packing import Header, Incarnation, ReadingsMessage, TelemetryMessage
-from coordinator.deployment.split import area_files
-from coordinator.evaluation.evaluation import estimate_centralised
-from coordinator.evaluation.used_readings import UsedReadings
-from coordinator.plant.held_readings import HeldReadings
-from coordinator.plant.telemetry_messages import make_message
-from coordinator.simulator.simulator import STARTED_AT
+from coordinator.lab.deployment.split import area_files
+from coordinator.lab.evaluation.evaluation import estimate_centralised
+from coordinator.lab.evaluation.used_readings import UsedReadings
+from coordinator.lab.plant.held_readings import HeldReadings
+from coordinator.lab.plant.telemetry_messages import make_message
+from coordinator.lab.simulator.simulator import STARTED_AT
 from dsse_core.grid.measurement import Measurement
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry

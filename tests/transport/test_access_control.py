@@ -15,7 +15,7 @@ from agents.security.access import Access
 from agents.security.access_file import ACCESS_FILE, load_access, save_access
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Router, Session, TransportError
-from coordinator.deployment.certificates import create_keys
+from coordinator.lab.deployment.certificates import create_keys
 from tests.support.expiring import let_expire
 from tests.support.waiting import DEADLINE_S, wait_until
 

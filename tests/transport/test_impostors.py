@@ -13,7 +13,7 @@ import pytest
 from agents.security.access import Access
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Router, Session, TransportError
-from coordinator.deployment.certificates import create_keys
+from coordinator.lab.deployment.certificates import create_keys
 from tests.support.dsse_command import free_endpoint
 from tests.support.impostor import Impostor, let_listen
 from tests.support.waiting import wait_until

@@ -9,8 +9,8 @@ import pytest
 
 from agents.messages.packing import WIRE_VERSION
 from agents.transport.zenoh_bus import Router, TransportError
-from coordinator.cli.live.address import RunAddress
-from coordinator.cli.live.session import attach
+from coordinator.watch.observe.attachment import attach
+from coordinator.watch.observe.run_address import RunAddress
 from tests.support.speaking import speaking
 from tests.support.waiting import DEADLINE_S
 

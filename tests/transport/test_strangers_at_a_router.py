@@ -12,8 +12,8 @@ from agents.messages.keys import all_live, all_readings, all_states
 from agents.messages.packing import WIRE_VERSION
 from agents.security.access import Access
 from agents.transport.zenoh_bus import Router, Session
-from coordinator.cli.live.address import RunAddress
-from coordinator.cli.live.session import attach
+from coordinator.watch.observe.attachment import attach
+from coordinator.watch.observe.run_address import RunAddress
 from dsse_core.reading_rules import ANYBODY
 from tests.support.speaking import speaking
 from tests.support.waiting import DEADLINE_S, wait_until

@@ -1,10 +1,9 @@
-"""Address of a running system and the keys to join it: options that the commands in this folder share."""
+"""Options for the address of a running system and the keys to join it, for all commands that attach to one."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,21 +15,7 @@ from coordinator.cli.terminal import (
     keys_option,
     run_option,
 )
-
-
-@dataclass(frozen=True)
-class RunAddress:
-    """Address of a run. ``endpoints``: of routers; with ``direct`` those of all areas, without a router.
-
-    ``run``: its name; None: the run that the keys name, or the only one on the bus. ``timeout_s``: limit for an
-    endpoint to answer, and for a run to appear. ``keys``: folder of credentials.
-    """
-
-    endpoints: Sequence[str]
-    run: str | None
-    timeout_s: float
-    keys: Path | None = None
-    direct: bool = False
+from coordinator.watch.observe.run_address import RunAddress
 
 
 def address_options(command: Callable[..., Any]) -> Callable[..., Any]:

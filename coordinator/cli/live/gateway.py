@@ -47,17 +47,17 @@ def gateway(
     Examples:  dsse gateway map.toml --check
                dsse gateway map.toml --connect tcp/192.0.2.7:7447
     """
-    from coordinator.deployment.endpoints import known_area_endpoints
-    from coordinator.gateway.maps.map_file import load_map
+    from coordinator.field.gateway.maps.map_file import load_map
+    from coordinator.lab.deployment.endpoints import known_area_endpoints
 
     content = load_map(map_file)
     if check:
-        from coordinator.gateway.check import check_map
+        from coordinator.field.gateway.check import check_map
 
         report = check_map(content, seconds)
         show(report.text)
         return 0 if report.is_sound else 1
-    from coordinator.gateway.gateway import run_gateway
+    from coordinator.field.gateway.gateway import run_gateway
 
     direct = content.scenario.transport.kind == "neighbours"
     endpoints = endpoints or content.endpoints

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from coordinator.cli.live.address import RunAddress, address_options
+from coordinator.cli.live.address import address_options
 from coordinator.cli.terminal import DEFAULT_ENDPOINT, Number, notify, quiet_option, show
-from coordinator.interrupts import end_orderly_on_signals
+from coordinator.watch.interrupts import end_orderly_on_signals
+from coordinator.watch.observe.run_address import RunAddress
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
-    from coordinator.replay.ticks import Tick
+    from coordinator.watch.replay.ticks import Tick
 
 NOT_WHOLE_CODE = 3  # of a replay that agrees where the recording has gaps; 2 is that of wrong input
 LINE_S = 1.0  # between two lines of progress
@@ -36,12 +37,12 @@ def record(address: RunAddress, out: Path | None, limit_gb: float | None, scenar
                dsse record --connect tcp/192.0.2.7:7447 --out /var/lib/dsse --limit-gb 20
     """
     from agents.runtime.log.format import start_log
-    from coordinator.cli.live.session import join_run
-    from coordinator.deployment.split import area_files
-    from coordinator.evaluation.evaluation import choose_scenario
-    from coordinator.recording.bus_recorder import record_from
-    from coordinator.recording.order import Order
-    from coordinator.recording.parquet import has_parquet
+    from coordinator.lab.deployment.split import area_files
+    from coordinator.lab.evaluation.evaluation import choose_scenario
+    from coordinator.watch.observe.attachment import join_run
+    from coordinator.watch.recording.bus_recorder import record_from
+    from coordinator.watch.recording.order import Order
+    from coordinator.watch.recording.parquet import has_parquet
 
     start_log()
     prepared = None if scenario is None else choose_scenario(scenario)
@@ -79,9 +80,9 @@ def replay(folder: Path, processes: bool, speed: float | None, scenario: str | N
     Examples:  dsse replay recordings/ieee33
                dsse replay recordings/ieee33 --processes --speed 10
     """
-    from coordinator.evaluation.evaluation import choose_scenario
-    from coordinator.replay.play import play_on_processes, play_on_simulator
-    from coordinator.replay.text import format_replay
+    from coordinator.lab.evaluation.evaluation import choose_scenario
+    from coordinator.lab.stages.play import play_on_processes, play_on_simulator
+    from coordinator.watch.replay.text import format_replay
 
     end_orderly_on_signals()
     other = None if scenario is None else choose_scenario(scenario)

@@ -10,15 +10,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from coordinator.cli.live.address import RunAddress, address_options
+from coordinator.cli.live.address import address_options
 from coordinator.cli.terminal import notify, set_option, show
-from coordinator.interrupts import end_orderly_on_signals
+from coordinator.watch.interrupts import end_orderly_on_signals
+from coordinator.watch.observe.run_address import RunAddress
 from dsse_core.errors import InvalidInputError
 
 if TYPE_CHECKING:  # the real imports stand in the command, so that every other starts fast
     from collections.abc import Mapping
 
-    from coordinator.web.sources import Source
+    from coordinator.show.web.sources import Source
 
 
 @click.command(short_help="Show a running system, or a simulated run, as a page in a browser.")
@@ -60,8 +61,8 @@ def serve(
     if is_simulated and recording is not None:
         raise click.UsageError("--simulate and --recording are two things to play back; choose one")
     _check_packages()
-    from coordinator.web.server import choose_place
-    from coordinator.web.server import serve as serve_source
+    from coordinator.show.web.server import choose_place
+    from coordinator.show.web.server import serve as serve_source
 
     place = choose_place(listen, tls_cert, tls_key, token_file, names)
     end_orderly_on_signals()
@@ -91,9 +92,9 @@ def _check_packages() -> None:
 
 @contextmanager
 def _simulated(scenario: str, changes: Mapping[str, object]) -> Iterator[Source]:
-    from coordinator.evaluation.evaluation import choose_scenario
-    from coordinator.strategy_check import check_with_strategy
-    from coordinator.web.playback.growing import GrowingPlayback
+    from coordinator.lab.evaluation.evaluation import choose_scenario
+    from coordinator.lab.strategy_check import check_with_strategy
+    from coordinator.show.web.playback.growing import GrowingPlayback
 
     chosen = check_with_strategy(choose_scenario(scenario, changes=changes))
     notify(f"simulating {scenario}; the page plays it as far as it is computed ...")
@@ -107,8 +108,8 @@ def _simulated(scenario: str, changes: Mapping[str, object]) -> Iterator[Source]
 
 @contextmanager
 def _recorded(folder: Path, scenario: str | None, changes: Mapping[str, object]) -> Iterator[Source]:
-    from coordinator.evaluation.evaluation import choose_scenario
-    from coordinator.web.playback.recorded import play_recording
+    from coordinator.lab.evaluation.evaluation import choose_scenario
+    from coordinator.show.web.playback.recorded import play_recording
 
     notify(f"reading {folder} ...")
     notes: list[str] = []
@@ -120,10 +121,10 @@ def _recorded(folder: Path, scenario: str | None, changes: Mapping[str, object])
 
 @contextmanager
 def _live(scenario: str | None, changes: Mapping[str, object], address: RunAddress) -> Iterator[Source]:
-    from coordinator.cli.live.session import attach
-    from coordinator.evaluation.evaluation import choose_scenario
-    from coordinator.observe.grid_tables import GridTables
-    from coordinator.web.sources import LiveSource
+    from coordinator.lab.evaluation.evaluation import choose_scenario
+    from coordinator.show.web.sources import LiveSource
+    from coordinator.watch.observe.attachment import attach
+    from coordinator.watch.observe.grid_tables import GridTables
 
     known = GridTables(choose_scenario(scenario, changes=changes)) if scenario else None
     areas = frozenset(area.name for area in known.partition.areas) if known else None

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from coordinator.cli.live.address import RunAddress, address_options
+from coordinator.cli.live.address import address_options
 from coordinator.cli.terminal import choose_endpoints, connect_option, direct_option, keys_option, run_option, show
-from coordinator.interrupts import end_orderly_on_signals
+from coordinator.watch.interrupts import end_orderly_on_signals
+from coordinator.watch.observe.run_address import RunAddress
 
 if TYPE_CHECKING:  # the real imports stand in the command, so that every other starts fast
-    from coordinator.observe.grid_tables import GridTables
-    from coordinator.observe.watch import Watcher
+    from coordinator.watch.observe.grid_tables import GridTables
+    from coordinator.watch.observe.watch import Watcher
     from dsse_core.results.table import Table
 
     Tables = Callable[[Watcher], Mapping[str, Table]]
@@ -49,7 +50,7 @@ def watch(address: RunAddress, grid: str | None, buses: bool, meters: bool, once
                dsse watch --grid ieee33 --buses --meters
                dsse watch --connect tcp/192.0.2.7:7447 --once --json
     """
-    from coordinator.cli.live.session import attach, wait_until_whole
+    from coordinator.watch.observe.attachment import attach, wait_until_whole
 
     end_orderly_on_signals()
     known = _load_grid(grid)
@@ -72,7 +73,7 @@ def _load_grid(grid: str | None) -> GridTables | None:
     """The network and the meters of scenario ``grid``."""
     if grid is None:
         return None
-    from coordinator.observe.grid_tables import GridTables
+    from coordinator.watch.observe.grid_tables import GridTables
     from scenarios.scenario import load_scenario
 
     return GridTables(load_scenario(grid))
@@ -82,7 +83,7 @@ def _tables_of(known: GridTables | None, buses: bool, meters: bool) -> Tables:
     """Function from a watcher to the tables that are wanted, by name."""
     if not (buses or meters):
         return lambda watcher: {}
-    from coordinator.observe.grid_tables import list_buses, list_meters, worst_first
+    from coordinator.watch.observe.grid_tables import list_buses, list_meters, worst_first
 
     def find(watcher: Watcher) -> dict[str, Table]:
         states, readings = watcher.states, watcher.readings
@@ -101,7 +102,7 @@ def _tables_of(known: GridTables | None, buses: bool, meters: bool) -> Tables:
 def _show_on(look: Callable[[], Watcher], find_tables: Tables, live: bool, as_json: bool) -> None:
     """Show the views of ``look`` until Ctrl-C, or until the reader of standard output has closed it."""
     if live:
-        from coordinator.observe.view_text import live_view
+        from coordinator.watch.observe.view_text import live_view
 
         with live_view() as update:
             while True:
@@ -121,10 +122,10 @@ def _show_on(look: Callable[[], Watcher], find_tables: Tables, live: bool, as_js
 def _format(watcher: Watcher, find_tables: Tables, as_json: bool) -> str:
     view, tables = watcher.look(time.monotonic()), find_tables(watcher)
     if as_json:
-        from coordinator.observe.view_json import describe_tables, describe_view
+        from coordinator.watch.observe.view_json import describe_tables, describe_view
 
         return json.dumps({"time": time.time(), **describe_view(view), **describe_tables(tables)})
-    from coordinator.observe.view_text import format_view
+    from coordinator.watch.observe.view_text import format_view
 
     return format_view(view, [table for name, table in tables.items() if name != BRANCHES])
 
@@ -153,13 +154,13 @@ def metrics(
     Examples:  dsse metrics
                dsse metrics --listen 0.0.0.0:9464 --connect tls/192.0.2.7:7447 --keys keys
     """
-    from coordinator.metrics.serve import check_prometheus, serve_metrics
+    from coordinator.watch.metrics.serve import check_prometheus, serve_metrics
 
     check_prometheus()
     from agents.runtime.log.format import start_log
-    from coordinator.cli.live.session import attach
-    from coordinator.listen import parse_listen
-    from coordinator.metrics.page import MetricsPage
+    from coordinator.watch.listen import parse_listen
+    from coordinator.watch.metrics.page import MetricsPage
+    from coordinator.watch.observe.attachment import attach
 
     start_log()
     address = RunAddress(choose_endpoints(endpoints, keys is not None), run_id, ATTEMPT_S, keys, direct)

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 import coordinator
-from coordinator.evaluation.result import RunResult
-from coordinator.observe.progress import Progress
-from coordinator.process_run.compile_clock import clock
-from coordinator.report.text import format_verdict
+from coordinator.lab.evaluation.result import RunResult
+from coordinator.lab.process_run.compile_clock import clock
+from coordinator.show.report.text import format_verdict
+from coordinator.watch.observe.progress import Progress
 from tests.support.waiting import DEADLINE_S
 
 KINDS = {

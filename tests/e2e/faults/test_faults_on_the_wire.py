@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.cli.live.address import RunAddress
-from coordinator.cli.live.session import attach
-from coordinator.deployment.split import write_area_files
-from coordinator.evaluation.comparison import Gap
+from coordinator.lab.deployment.split import write_area_files
+from coordinator.lab.evaluation.comparison import Gap
+from coordinator.watch.observe.attachment import attach
+from coordinator.watch.observe.run_address import RunAddress
 from scenarios.scenario import load_scenario
 from tests.support.dsse_command import free_port
 from tests.support.system_by_hand import SystemByHand, Watcher

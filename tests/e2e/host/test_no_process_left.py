@@ -19,9 +19,9 @@ from agents.messages.keys import all_states
 from agents.messages.packing import decode
 from agents.runtime.inbox import Inbox
 from agents.transport.zenoh_bus import Session
-from coordinator.interrupts import ENDS
-from coordinator.observe.progress import Progress
-from coordinator.process_run.compile_clock import clock
+from coordinator.lab.process_run.compile_clock import clock
+from coordinator.watch.interrupts import ENDS
+from coordinator.watch.observe.progress import Progress
 from dsse_core.operating_system import name_signal
 from tests.support.dsse_command import ROOT
 from tests.support.waiting import DEADLINE_S, wait_until

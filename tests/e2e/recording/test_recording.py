@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from agents.security.access import PLANT
-from coordinator.recording.folder import LOGS
-from coordinator.replay.ticks import read_ticks
+from coordinator.watch.recording.folder import LOGS
+from coordinator.watch.replay.ticks import read_ticks
 from tests.support.dsse_command import ENVIRONMENT, ROOT
 from tests.support.system_by_hand import SystemByHand, Watcher, prepare_by_hand
 from tests.support.waiting import wait_until

@@ -26,7 +26,7 @@ def test_agents_started_by_hand_agree_and_end_with_exit_code_0(dsse, tmp_path: P
     endpoint = free_endpoint()
     assert dsse("split", "industrial13", "--out", "areas", "--connect", endpoint).returncode == 0
     commands = [
-        [sys.executable, "-m", "coordinator.process_run.router_process", "--listen", endpoint],
+        [sys.executable, "-m", "coordinator.lab.process_run.router_process", "--listen", endpoint],
         [*COMMAND, "agent", str(tmp_path / "areas" / "area1.toml"), *PATIENCE],
         [sys.executable, "-m", "agents", str(tmp_path / "areas" / "area2.toml"), *PATIENCE],
         [*COMMAND, "plant", "industrial13", "--connect", endpoint, *PATIENCE],

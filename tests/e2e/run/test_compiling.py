@@ -21,7 +21,7 @@ COUNTING_FROM = "its time limit counts so many seconds later: "
 RUN = f"""
 import sys, time
 from coordinator.__main__ import main
-from coordinator.process_run.compile_clock import clock
+from coordinator.lab.process_run.compile_clock import clock
 started = time.monotonic()
 code = main(sys.argv[1:])
 print({COUNTING_FROM!r}, clock.find_start(started) - started)

@@ -11,11 +11,11 @@ import pytest
 
 import coordinator
 from agents.runtime.link_faults import draw_fate
-from coordinator.evaluation.result import RunResult
+from coordinator.lab.evaluation.result import RunResult
 from scenarios.scenario import Scenario, load_scenario
 from tests.support.waiting import DEADLINE_S
 
-TABLES = Path(__file__).parents[3] / "coordinator" / "thesis" / "tables"
+TABLES = Path(__file__).parents[3] / "coordinator" / "lab" / "thesis" / "tables"
 
 # (p.u., degrees) to the centralised estimate and to the truth: five standard deviations of what an area knows.
 #

@@ -16,7 +16,7 @@ from agents.messages.keys import all_incarnations, all_live, state_key, telemetr
 from agents.messages.packing import Header, encode
 from agents.runtime.presence import begin_incarnation
 from agents.security.access import Access, find_rights
-from coordinator.deployment.certificates import create_keys
+from coordinator.lab.deployment.certificates import create_keys
 from tests.support.impostor import Impostor, let_listen
 from tests.support.keys_by_hand import AREAS, RUN, KeysByHand, scenario_of
 from tests.support.shown_states import a_state

@@ -15,7 +15,7 @@ from agents.messages.keys import all_from_neighbours, all_live, state_key, telem
 from agents.security.access_file import ACCESS_FILE, load_access, save_access
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session, TransportError
-from coordinator.deployment.certificates import create_keys
+from coordinator.lab.deployment.certificates import create_keys
 from tests.support.expiring import let_expire
 from tests.support.impostor import Impostor
 from tests.support.keys_by_hand import AREAS, RUN, KeysByHand, scenario_of

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.deployment.certificates import create_keys
-from coordinator.deployment.run_access import access_of
-from coordinator.deployment.split import write_area_files
+from coordinator.lab.deployment.certificates import create_keys
+from coordinator.lab.deployment.run_access import access_of
+from coordinator.lab.deployment.split import write_area_files
 from scenarios.scenario import load_scenario
 from tests.support.dsse_command import ENVIRONMENT, free_endpoint
 from tests.support.expiring import let_expire

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coordinator.evaluation.evaluation import estimate_centralised
+from coordinator.lab.evaluation.evaluation import estimate_centralised
 from dsse_core.results.results import results_of_estimate
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry

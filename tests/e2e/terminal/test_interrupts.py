@@ -60,7 +60,7 @@ def interrupted_at(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[
         ("estimate ieee33", "scipy.sparse"),
         ("agent areas/area1.toml", "agents.transport.zenoh_bus"),
         ("plant ieee33", "numpy"),
-        ("run ieee33 --out out", "coordinator.process_run.run_scenario"),
+        ("run ieee33 --out out", "coordinator.lab.process_run.run_scenario"),
         ("run ieee33 --out out", "numpy"),
         ("run ieee33 --out out", "zenoh"),
         ("run ieee33 --out out", "scenarios.telemetry"),

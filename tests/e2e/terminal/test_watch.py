@@ -120,7 +120,7 @@ def test_a_bus_without_a_run_and_a_bus_that_is_not_there_are_distinguished(dsse)
     done = dsse("watch", "--connect", endpoint, "--timeout", "0.3")
     assert done.returncode == 2
     assert f"cannot reach {endpoint}" in done.stderr
-    command = [sys.executable, "-m", "coordinator.process_run.router_process", "--listen", endpoint]
+    command = [sys.executable, "-m", "coordinator.lab.process_run.router_process", "--listen", endpoint]
     router = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert router.stdout is not None

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import coordinator
-import coordinator.process_run.system
+import coordinator.lab.process_run.system
 from tests.support.dsse_command import free_endpoint
 from tests.support.waiting import DEADLINE_S
 
@@ -82,7 +82,7 @@ def test_a_run_says_which_agent_died_with_the_end_of_its_log(start_run, deaf_sce
 
 
 def test_a_run_says_which_agent_rejected_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    write = coordinator.process_run.system.write_area_files
+    write = coordinator.lab.process_run.system.write_area_files
 
     def spoil(*arguments: object) -> Iterator[tuple[str, Path]]:
         for name, path in write(*arguments):  # type: ignore[arg-type]
@@ -90,7 +90,7 @@ def test_a_run_says_which_agent_rejected_its_file(tmp_path: Path, monkeypatch: p
                 path.write_text("nonsense")
             yield name, path
 
-    monkeypatch.setattr(coordinator.process_run.system, "write_area_files", spoil)
+    monkeypatch.setattr(coordinator.lab.process_run.system, "write_area_files", spoil)
     result = coordinator.run("industrial13", out=tmp_path / "out", plots=False, timeout_s=DEADLINE_S)
     assert not result.verdict.consensus
     assert result.verdict.reason is not None

@@ -13,11 +13,11 @@ import pytest
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
-from coordinator.evaluation.evaluation import choose_scenario
-from coordinator.observe.grid_tables import GridTables
-from coordinator.observe.watch import Watcher
-from coordinator.web import sources, stream
-from coordinator.web.sources import LiveSource
+from coordinator.lab.evaluation.evaluation import choose_scenario
+from coordinator.show.web import sources, stream
+from coordinator.show.web.sources import LiveSource
+from coordinator.watch.observe.grid_tables import GridTables
+from coordinator.watch.observe.watch import Watcher
 from tests.support.browser import browsing, find_chromium
 from tests.support.served import played, serving
 from tests.support.shown_states import published_by

@@ -12,7 +12,7 @@ from agents.area_files.area_file import AreaFile
 from agents.area_files.split_digest import stamp_split
 from agents.messages.packing import StateMessage
 from agents.protocol.quality import GOOD
-from coordinator.simulator.simulator import STARTED_AT
+from coordinator.lab.simulator.simulator import STARTED_AT
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.partition import Area
 from scenarios.scenario import load_scenario

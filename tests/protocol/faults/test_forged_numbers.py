@@ -9,7 +9,7 @@ import pytest
 
 from agents.messages.packing import HeartbeatMessage, LoadMessage, Message
 from agents.protocol.events import Received
-from coordinator.simulator.simulator import STARTED_AT
+from coordinator.lab.simulator.simulator import STARTED_AT
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 from tests.support.simulated_bus import SimulatedBus, area_files_of

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from agents.messages.packing import HeartbeatMessage, decode, encode
-from coordinator.evaluation.result import AreaResult, RunOutcome
-from coordinator.simulator.simulate import Simulation
+from coordinator.lab.evaluation.result import AreaResult, RunOutcome
+from coordinator.lab.simulator.simulate import Simulation
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario

@@ -10,7 +10,7 @@ import pytest
 
 from agents.messages.packing import HeartbeatMessage
 from agents.peers.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS
-from coordinator.simulator.simulate import Simulation
+from coordinator.lab.simulator.simulate import Simulation
 from dsse_core.errors import NotObservableError
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from coordinator.simulator.simulator import STARTED_AT
+from coordinator.lab.simulator.simulator import STARTED_AT
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 from tests.support.simulated_bus import SimulatedBus, area_files_of

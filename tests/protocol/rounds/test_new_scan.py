@@ -9,8 +9,8 @@ import pytest
 from agents.messages.packing import DownMessage, Header, Incarnation, LoadMessage, UpMessage
 from agents.protocol.readings import DEADLINE_HEARTBEATS
 from agents.protocol.scan_readings import ScanReadings
-from coordinator.plant.telemetry_messages import make_message
-from coordinator.simulator import simulator
+from coordinator.lab.plant.telemetry_messages import make_message
+from coordinator.lab.simulator import simulator
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 from tests.support.exact_exchange import settle_bus

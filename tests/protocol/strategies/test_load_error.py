@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from coordinator.evaluation.result import RunOutcome
-from coordinator.simulator.simulate import Simulation
+from coordinator.lab.evaluation.result import RunOutcome
+from coordinator.lab.simulator.simulate import Simulation
 from scenarios.scenario import Scenario, load_scenario
 
 pytestmark = pytest.mark.quick

@@ -7,7 +7,7 @@ import pytest
 
 from agents.messages.packing import Incarnation, UpMessage
 from agents.protocol.choose import make_protocol
-from coordinator.strategy_check import check_with_strategy
+from coordinator.lab.strategy_check import check_with_strategy
 from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError, PowerFlowDivergedError
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.link_faults import LinkFaults

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agents.messages.packing import DownMessage, HeartbeatMessage, UpMessage
-from coordinator.simulator.simulator import STARTED_AT
+from coordinator.lab.simulator.simulator import STARTED_AT
 from tests.support.ticking import SCAN_S, Ticking, by_clock
 
 AREAS = ("area1", "area2", "area3")

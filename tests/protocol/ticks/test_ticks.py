@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from agents.messages.packing import StateMessage, TelemetryMessage
-from coordinator.simulator.simulator import STARTED_AT
+from coordinator.lab.simulator.simulator import STARTED_AT
 from dsse_core.link_faults import LinkFaults
 from tests.support.ticking import SCAN_S, Ticking, by_clock
 

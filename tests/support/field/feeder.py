@@ -19,7 +19,7 @@ import pandapower.networks
 import tomli_w
 
 from coordinator.cli.main import run_command
-from coordinator.deployment.split import write_area_files
+from coordinator.lab.deployment.split import write_area_files
 from dsse_core.grid.measurement import Source
 from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import solve_power_flow

@@ -11,9 +11,9 @@ import pytest
 from benchmarks.page.command import list_tasks
 from benchmarks.page.feed import Feed
 from benchmarks.page.tasks import MAIN_THREAD, find_tasks
-from coordinator.evaluation.evaluation import choose_scenario
-from coordinator.observe.grid_tables import GridTables
-from coordinator.web.moment import Moments
+from coordinator.lab.evaluation.evaluation import choose_scenario
+from coordinator.show.web.moment import Moments
+from coordinator.watch.observe.grid_tables import GridTables
 
 pytestmark = pytest.mark.long
 

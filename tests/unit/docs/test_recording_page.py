@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.recording.closing import close_ended
-from coordinator.recording.rows import COLUMNS
-from coordinator.simulator.simulate import simulate_scenario
+from coordinator.lab.simulator.simulate import simulate_scenario
+from coordinator.watch.recording.closing import close_ended
+from coordinator.watch.recording.rows import COLUMNS
 from scenarios.scenario import load_scenario
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "recording.md"

@@ -10,7 +10,7 @@ from agents.area_files.area_file import save_area_file
 from agents.area_files.reader import load_area_file
 from agents.transport import zenoh_bus
 from agents.transport.zenoh_bus import Router, Session
-from coordinator.deployment.split import area_files
+from coordinator.lab.deployment.split import area_files
 from dsse_core.endpoints import check_endpoints, find_endpoint_problem
 from dsse_core.errors import InvalidInputError
 from scenarios.scenario import load_scenario

@@ -9,7 +9,7 @@ import pytest
 
 from agents.area_files.area_file import save_area_file
 from agents.area_files.reader import load_area_file
-from coordinator.deployment.split import area_files
+from coordinator.lab.deployment.split import area_files
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.reading_rules import DEFAULT_RULES, KindRule

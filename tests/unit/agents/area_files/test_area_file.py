@@ -11,7 +11,7 @@ import pytest
 
 from agents.area_files.area_file import AreaFile, save_area_file
 from agents.area_files.reader import load_area_file
-from coordinator.deployment.split import area_files
+from coordinator.lab.deployment.split import area_files
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.grid.division import build_partition

@@ -13,7 +13,7 @@ from agents.area_files.area_file import AreaFile, save_area_file
 from agents.area_files.reader import load_area_file
 from agents.area_files.split_digest import stamp_split
 from agents.protocol.configuration_digest import LEFT_OUT
-from coordinator.deployment.split import area_files
+from coordinator.lab.deployment.split import area_files
 from dsse_core.errors import InvalidInputError
 from dsse_core.split_identity import NO_SPLIT, SplitIdentity
 from scenarios.scenario import load_scenario

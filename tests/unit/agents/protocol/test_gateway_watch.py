@@ -8,7 +8,7 @@ from typing import Any
 
 from agents.protocol.gateway_watch import GatewayWatch
 from agents.protocol.readings import Ages
-from coordinator.deployment.split import area_files
+from coordinator.lab.deployment.split import area_files
 from dsse_core.exchange.gateway_mistakes import MISTAKES, POWERS, THRESHOLD
 from dsse_core.grid.measurement import Measurement
 from scenarios.scenario import load_scenario

@@ -14,7 +14,7 @@ from agents.area_files.area_file import AreaFile
 from agents.messages.packing import Header, Incarnation, TelemetryMessage
 from agents.protocol.reading_store import ReadingStore
 from agents.protocol.readings import Readings
-from coordinator.deployment.split import area_files
+from coordinator.lab.deployment.split import area_files
 from dsse_core.grid.measurement import MeasurementKind, Source
 from dsse_core.reading_rules import KindRule, MetersOf, ReadingRules
 from scenarios.scenario import load_scenario

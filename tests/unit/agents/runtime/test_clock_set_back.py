@@ -15,8 +15,8 @@ from agents.protocol.events import StopRequested
 from agents.runtime.inbox import Inbox
 from agents.runtime.loop import run_agent
 from agents.runtime.presence import begin_incarnation
-from coordinator.deployment.split import area_files
-from coordinator.plant.telemetry_messages import make_payloads
+from coordinator.lab.deployment.split import area_files
+from coordinator.lab.plant.telemetry_messages import make_payloads
 from scenarios.scenario import load_scenario
 from tests.support.waiting import wait_until
 

@@ -16,7 +16,7 @@ from agents.runtime import loop
 from agents.runtime.inbox import Inbox
 from agents.security.access import OPERATOR
 from agents.transport.renewable_bus import Declaration
-from coordinator.deployment.split import area_files
+from coordinator.lab.deployment.split import area_files
 from scenarios.scenario import load_scenario
 from tests.support.sample_messages import HEADER
 

@@ -15,7 +15,7 @@ from agents.area_files.reader import load_area_file
 from agents.protocol.events import Offered
 from agents.runtime.inbox import Inbox
 from agents.runtime.next_file import LOOK_S, NextFile
-from coordinator.deployment.split import area_files
+from coordinator.lab.deployment.split import area_files
 from dsse_core.grid.boundary import boundary_at
 from scenarios.scenario import load_scenario
 

@@ -14,7 +14,7 @@ from agents.messages.keys import live_key, split_of
 from agents.messages.packing import Incarnation
 from agents.runtime.duplicate_guard import OVERLAP_S, ReplacedError
 from agents.runtime.place import take_place
-from coordinator.deployment.split import area_files
+from coordinator.lab.deployment.split import area_files
 from dsse_core.split_identity import NO_SPLIT
 from scenarios.scenario import load_scenario
 

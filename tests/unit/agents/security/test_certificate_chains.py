@@ -10,7 +10,7 @@ import pytest
 from agents.security.access import Access
 from agents.security.certificate_checks import explain_rejection, find_credential_problems
 from agents.security.credential_files import Credentials, credentials_in
-from coordinator.deployment.certificates import create_keys
+from coordinator.lab.deployment.certificates import create_keys
 
 ACCESS = Access("run", {"a": ("b",), "b": ("a",)})
 

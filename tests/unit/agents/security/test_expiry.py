@@ -11,7 +11,7 @@ from agents.security import expiry
 from agents.security.access import Access
 from agents.security.credential_files import Credentials, credentials_in
 from agents.security.expiry import ExpiryWatch, describe_expiry
-from coordinator.deployment.certificates import create_keys
+from coordinator.lab.deployment.certificates import create_keys
 from tests.support.waiting import wait_until
 
 

@@ -7,7 +7,7 @@ import pytest
 from agents.peers.freshness import PATIENCE_HEARTBEATS
 from agents.runtime.duplicate_guard import OVERLAP_HEARTBEATS, OVERLAP_S
 from agents.transport.bus_config import bus_config
-from coordinator.observe.duplicates import SURE_HEARTBEATS, SURE_S
+from coordinator.watch.observe.duplicates import SURE_HEARTBEATS, SURE_S
 
 
 @pytest.mark.parametrize("heartbeat_s", [0.02, 0.2, 2.0, 5.0])

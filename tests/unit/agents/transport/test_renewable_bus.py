@@ -11,7 +11,7 @@ from agents.security.access import Access
 from agents.security.access_file import ACCESS_FILE, load_access, save_access
 from agents.security.credentials import Keys, load_keys
 from agents.transport.renewable_bus import RenewableBus
-from coordinator.deployment.certificates import create_keys
+from coordinator.lab.deployment.certificates import create_keys
 from dsse_core.errors import DsseError
 from tests.support.waiting import wait_until
 

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from coordinator.cli import main, terminal
-from coordinator.process_run import compile_ahead
+from coordinator.lab.process_run import compile_ahead
 from dsse_core import compiling
 
 

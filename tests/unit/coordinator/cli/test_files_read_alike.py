@@ -15,7 +15,7 @@ from agents.area_files.area_file import save_area_file
 from agents.area_files.reader import load_area_file
 from agents.security.access import Access
 from agents.security.access_file import load_access, save_access
-from coordinator.deployment.split import area_files
+from coordinator.lab.deployment.split import area_files
 from dsse_core.errors import InvalidInputError
 from scenarios.files.network_file import load_network
 from scenarios.files.shipped_files import find_shipped

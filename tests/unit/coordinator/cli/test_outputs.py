@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from coordinator.cli import outputs
-from coordinator.simulator.simulate import simulate_scenario
+from coordinator.lab.simulator.simulate import simulate_scenario
 from dsse_core.results import results
 from dsse_core.results.scans import ScanTables
 from scenarios.files.shipped_files import find_shipped

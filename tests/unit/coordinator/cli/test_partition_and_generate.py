@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.report.area_table import format_area_tables
+from coordinator.show.report.area_table import format_area_tables
 from dsse_core.grid.division import build_partition
 from scenarios.scenario import load_scenario
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.cli.live import session
 from coordinator.cli.main import run_command
-from coordinator.recording.folder import begin_writing
+from coordinator.watch.observe import attachment as session
+from coordinator.watch.recording.folder import begin_writing
 
 
 @contextmanager

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from coordinator.cli.main import run_command
-from coordinator.replay import play
-from coordinator.replay.replay import Comparison
+from coordinator.lab.stages import play
+from coordinator.watch.replay.replay import Comparison
 
 GOOD = {"scans": 2, "compared": 6}
 HOLE = {"left_out": {3: "no readings of area2 are recorded"}}

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from coordinator.cli.main import run_command
-from coordinator.studies.sweep_plan import make_plan, parse_vary
+from coordinator.lab.studies.sweep_plan import make_plan, parse_vary
 from dsse_core.errors import InvalidInputError
 from scenarios.files.key_values import parse_settings
 from scenarios.scenario import load_scenario

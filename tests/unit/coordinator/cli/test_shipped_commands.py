@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from coordinator.cli.main import run_command
-from coordinator.process_run import compile_ahead
+from coordinator.lab.process_run import compile_ahead
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.files.network_file import load_case
 from scenarios.files.shipped_files import find_shipped

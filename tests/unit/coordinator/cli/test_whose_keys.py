@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from agents.security.credential_files import credentials_in
-from coordinator.cli.live.session import _find_own_name
+from coordinator.watch.observe.attachment import _find_own_name
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.process_run.faults.schedule import FaultSchedule
 from dsse_core.link_faults import LinkFaults
+from scenarios.faults.schedule import FaultSchedule
 from scenarios.scenario import load_scenario
 from tests.support.scenario_mistakes import GOOD, link, problems_of, the_only
 

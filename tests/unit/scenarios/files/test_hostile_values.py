@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from coordinator.evaluation.evaluation import choose_scenario
+from coordinator.lab.evaluation.evaluation import choose_scenario
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LARGEST_SEED
 from scenarios.scenario import load_scenario

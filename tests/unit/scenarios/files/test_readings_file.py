@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.evaluation.scan_estimates import load_scans_of, with_one_scan
+from coordinator.lab.evaluation.scan_estimates import load_scans_of, with_one_scan
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.columns import Records

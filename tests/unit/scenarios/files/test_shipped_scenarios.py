@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from agents.strategies.angle_offset import AngleOffset
-from coordinator.strategy_check import check_with_strategy
+from coordinator.lab.strategy_check import check_with_strategy
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.measurement import MeasurementKind, Meter, Source
 from dsse_core.link_faults import LinkFaults

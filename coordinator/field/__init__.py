@@ -1,0 +1,1 @@
+"""Real meters and operators: gateways to field protocols, and commands to a running system."""

@@ -1,0 +1,192 @@
+"""Status of a run under way: updates from its processes and areas, and the record made of them."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from agents.messages.checks import MessageError, should_log
+from agents.messages.keys import clock_key, live_key, name_of_live, sender_of
+from agents.messages.packing import ReadingsMessage, StateMessage, decode
+from agents.runtime.presence import Presence, begin_incarnation, read_leave
+from agents.security.access import COORDINATOR
+from agents.transport.zenoh_bus import Session
+from coordinator.lab.evaluation.used_readings import UsedReadings
+from coordinator.lab.process_run.faults.clock import RunClock
+from coordinator.lab.process_run.fork_server import Ended, Started
+from coordinator.lab.process_run.processes import describe_end, read_end
+from coordinator.lab.process_run.system import System
+from coordinator.watch.observe.duplicates import Duplicate, Duplicates
+from coordinator.watch.observe.events import EventLog
+from coordinator.watch.observe.observer import Observer
+from coordinator.watch.observe.state_log import StateLog
+from coordinator.watch.observe.updates import Updates
+from coordinator.watch.observe.watched_keys import PresenceByName, processes_of, readings_keys, state_keys
+from dsse_core.estimation.plan import EstimationPlan
+from scenarios.faults.schedule import FaultSchedule
+from scenarios.scenario import Scenario
+
+
+@dataclass(frozen=True, slots=True)
+class _StateReceived:
+    at: float
+    state: StateMessage
+
+
+@dataclass(frozen=True, slots=True)
+class _PresenceSeen:
+    at: float
+    key: str
+    alive: bool
+    leave_reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessUpdate:
+    """The start or end of a process, received at monotonic time ``at``, s."""
+
+    at: float
+    update: Started | Ended
+
+
+@dataclass
+class RunUnderWay:
+    """A run under way: its processes, the updates that wait, and the record of those taken in."""
+
+    scenario: Scenario
+    id: str
+    folder: Path
+    system: System
+    events: EventLog
+    started: float
+    plan: EstimationPlan | None = None  # of the whole grid, where the check has made it
+    updates: Updates = field(default_factory=Updates)
+    presence: Presence = field(default_factory=Presence)
+    rejected: Counter[str] = field(default_factory=Counter)  # by reason
+    joined: float | None = None  # monotonic time at which all areas were on the bus for the first time
+    timing_s: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.schedule = FaultSchedule.of(self.scenario.faults.events)
+        self.states = StateLog(self.events)
+        self.used = UsedReadings(self.scenario)
+        self.duplicates = Duplicates(self.scenario.run.beat_s)
+        self.clock = RunClock(self.id, self.scenario.run.beat_s, begin_incarnation())
+
+    def note_time(self, moment: str) -> None:
+        self.timing_s[moment] = time.monotonic() - self.started
+
+
+def listen_to_processes(run: RunUnderWay) -> None:
+    """Puts starts and ends of processes into the run's updates, each with the time of its arrival."""
+    run.system.launcher.on_update = lambda update: run.updates.put(ProcessUpdate(time.monotonic(), update))
+
+
+def listen(run: RunUnderWay, session: Session) -> None:
+    """Puts states, readings and presence into the run's updates, states and presence with the time of their arrival.
+
+    Announces the coordinator on the bus, and lets the run's clock publish if faults of links have windows.
+    """
+
+    areas = {area.name for area in run.scenario.partition.areas}
+
+    def on_shown(key: str, payload: bytes) -> None:
+        try:
+            message = decode(payload)
+        except MessageError as error:
+            run.updates.offer(error)
+            return
+        if isinstance(message, StateMessage) and message.header.sender == sender_of(key):
+            run.updates.offer(_StateReceived(time.monotonic(), message), size=len(payload))
+        elif isinstance(message, ReadingsMessage) and message.header.sender == sender_of(key):
+            run.updates.offer(message, size=len(payload))
+
+    readings = () if run.scenario.renew_s is None else readings_keys(run.id, areas)
+    for key in (*state_keys(run.id, areas), *readings):
+        session.subscribe(key, on_shown)
+
+    def on_presence(key: str, alive: bool, leave_reason: str = "") -> None:
+        run.updates.offer(_PresenceSeen(time.monotonic(), key, alive, leave_reason), sent_once=True)
+
+    def on_leave(key: str, payload: bytes) -> None:
+        if leave_reason := read_leave(payload):
+            on_presence(key, False, leave_reason)
+
+    PresenceByName(session, run.id, on_presence, on_leave).ask(processes_of(areas))
+    if any(faults.has_windows for faults in run.scenario.faults.links.values()):
+        run.clock.publish = session.publisher(clock_key(run.id))
+    session.declare_presence(live_key(run.id, "coordinator", COORDINATOR, run.clock.incarnation))
+
+
+def take_update(run: RunUnderWay, observer: Observer, item: object) -> str | None:
+    """Takes in one update. Returns the reason to end the run if the update is one, else None."""
+    match item:
+        case _StateReceived(at, state):
+            is_new = state.header.run == run.id and observer.take_state(state, at)
+            if observer.states.get(state.header.sender) is state:  # not from an unknown sender, and not outdated
+                run.states.take(state, at, is_new)
+        case ReadingsMessage():
+            run.used.take(item)
+        case _PresenceSeen(at, key, alive, leave_reason):
+            if duplicate := run.duplicates.take(key, alive, at, leave_reason):
+                note_duplicates(run, [duplicate], at)
+            if not (run.presence.take_leave(key) if leave_reason else run.presence.take(key, alive)):
+                return None
+            role, name = name_of_live(key)
+            what, why = (
+                ("left", {"leave_reason": leave_reason}) if leave_reason else ("appeared" if alive else "vanished", {})
+            )
+            run.events.write(what, at, role=role, name=name, **why)
+            if role == "area":
+                observer.take_presence(name, alive, at)
+                if run.joined is None and not observer.find_absent():
+                    run.joined = at
+                    run.timing_s["areas_joined"] = at - run.started
+        case MessageError():
+            run.rejected[item.reason] += 1
+            if should_log(run.rejected[item.reason]):
+                run.events.write("rejected", reason=str(item), count=run.rejected[item.reason])
+        case ProcessUpdate(at, update):
+            reason = take_process_update(run, item)
+            if reason:  # the bus may not have reported its death yet
+                observer.take_presence(update.name, False, at)
+            return reason
+    return None
+
+
+def note_duplicates(run: RunUnderWay, duplicates: Sequence[Duplicate], at: float) -> None:
+    """Writes an event for each process that was found running twice."""
+    for duplicate in duplicates:
+        run.events.write("two at once", at, **asdict(duplicate))
+
+
+def take_process_update(run: RunUnderWay, item: ProcessUpdate) -> str | None:
+    """Writes the event of a start or an end. Returns the reason to end the run after an end that was not ordered."""
+    expected = run.system.note(item.update)
+    match item.update:
+        case Started(name, pid):
+            run.events.write("process started", item.at, name=name, pid=pid)
+        case Ended(name, pid, code):
+            run.events.write("process ended", item.at, name=name, pid=pid, code=code)
+            if expected:
+                return None
+            kind = f"area {name}" if name in run.scenario.partition.owner_of_bus.values() else name
+            return f"{kind} died with {describe_end(code)}{_describe_log(run.system.log_of(name))}"
+    return None
+
+
+def _describe_log(log: Path) -> str:
+    """Text with the last lines of the log of a process that has died; empty without a log, as for the parent of all."""
+    if end := read_end(log):
+        return f"; the end of its log {log}:\n{end}"
+    return f"; its log {log} is empty" if log.exists() else ""
+
+
+def note_ends(run: RunUnderWay) -> None:
+    """Writes the events of the starts and ends of processes that arrived during the stop."""
+    for item in run.updates.take(0.0):
+        if isinstance(item, ProcessUpdate):
+            take_process_update(run, item)

@@ -1,0 +1,1 @@
+"""Pictures and pages: figures, reports, and the page in a browser."""

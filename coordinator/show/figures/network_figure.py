@@ -1,0 +1,77 @@
+"""The network as a one-line diagram, coloured by the voltage that the areas have estimated."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap, Normalize
+
+from coordinator.lab.evaluation.result import RunOutcome
+from coordinator.show.figures.diagram import (
+    MAX_DOTS,
+    find_corners,
+    line_width,
+    mark_boundaries,
+    new_diagram,
+    number_buses,
+)
+from coordinator.show.figures.feeder_layout import lay_out
+from coordinator.show.figures.style import GREY, Drawing
+
+COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.15, 0.95, 256)))
+"""Even steps of lightness, also for the colour-blind and for grey print; without the ends, which pages would hide."""
+LEAST_SPAN = 0.01  # p.u. between the ends of the colours: a flat profile has one colour
+
+
+def draw_network(outcome: RunOutcome) -> Drawing:
+    """Figure of the network; a branch has the colour of its ends' mean, grey where no area has an estimate."""
+    partition, network = outcome.scenario.partition, outcome.scenario.network
+    vm, layout = outcome.comparison.decentralised.vm, lay_out(network)
+    known = np.flatnonzero(~np.isnan(vm))
+    ends = [int(known[np.argmin(vm[known])]), int(known[np.argmax(vm[known])])] if len(known) else []
+    figure, axes = new_diagram(layout, len(partition.boundaries) + len(ends))
+    scale = _find_scale(vm[known])
+    branches = network.active_branches
+    lines = [find_corners(network, layout, branch) for branch in branches]
+    mean = (vm[network.table.f] + vm[network.table.t]) / 2
+    for n_corner, style in ((3, "solid"), (2, "dashed")):
+        for unknown in (False, True):
+            chosen = [k for k, line in enumerate(lines) if len(line) == n_corner and np.isnan(mean[k]) == unknown]
+            drawn = LineCollection([lines[k] for k in chosen], linewidths=line_width(len(vm)), linestyles=style)
+            if unknown:
+                drawn.set_color(GREY)
+            else:
+                drawn.set(array=mean[chosen], cmap=COLOUR_MAP, norm=scale)
+            axes.add_collection(drawn)
+    size = 30 if len(vm) <= MAX_DOTS else 4
+    dots = axes.scatter(
+        layout.place[known, 0],
+        layout.place[known, 1],
+        c=vm[known],
+        s=size,
+        cmap=COLOUR_MAP,
+        norm=scale,
+        zorder=3,
+        linewidths=0,
+    )
+    axes.autoscale_view()
+    mark_boundaries(axes, partition, layout, fill="none")
+    if len(known):
+        figure.colorbar(dots, ax=axes, label="voltage magnitude (p.u.)", shrink=0.7, pad=0.01, fraction=0.05, aspect=30)
+    figure.legend(loc="outside lower right", ncols=2, fontsize="small")
+    ids = network.table.bus_id
+    number_buses(axes, partition, layout, [int(ids[row]) for row in ends])
+    numbered = "boundary buses and those of the lowest and the highest voltage have their numbers"
+    caption = f"Estimated voltage magnitude on the one-line diagram; {numbered}. Dashed branches close loops."
+    if len(known) < len(vm):
+        caption += f" Grey: {len(vm) - len(known)} buses that no area has estimated."
+    return Drawing("network", "Voltages in the network", caption, figure)
+
+
+def _find_scale(vm: np.ndarray) -> Normalize:
+    if len(vm) == 0:
+        return Normalize(0.9, 1.1)
+    low, high = float(vm.min()), float(vm.max())
+    more = max(0.0, LEAST_SPAN - (high - low)) / 2
+    return Normalize(low - more, high + more)

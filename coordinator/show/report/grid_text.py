@@ -1,0 +1,168 @@
+"""Plain text of the command line for a whole grid: power flow, estimate, and the layout of tables."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+
+from coordinator.show.report.number_cells import place, write_fixed, write_significant, write_texts
+from dsse_core.estimation.bad_data import BadDataReport, SuspectKept
+from dsse_core.power_flow.newton_raphson import PowerFlowResult
+from dsse_core.printable import all_printable, printable, shortened
+from dsse_core.results.results import Results
+from dsse_core.results.table import Table
+from dsse_core.results.units import base_kw
+
+LONGEST_NAME_SHOWN = 24
+SMALLEST_SHOWN = 1e-6  # kW, kvar, A
+
+
+def _join_cells(header: Sequence[str], columns: Sequence[np.ndarray]) -> str:
+    """Table with the layout of ``format_table``, of cells (width, n) of ``number_cells``, for up to a million rows."""
+    widths = [max(len(name), len(column)) for name, column in zip(header, columns, strict=True)]
+    padded = [name.rjust(width) for name, width in zip(header, widths, strict=True)]
+    titles = "  ".join([header[0].ljust(widths[0]), *padded[1:]])
+    n, kind = columns[0].shape[1], np.result_type(*columns)
+    table, end = np.full((n, len(titles) + 1), ord(" "), dtype=kind), 0
+    for k, (column, width) in enumerate(zip(columns, widths, strict=True)):
+        first = end + (width - len(column) if k else 0)
+        table[:, first : first + len(column)] = column.T
+        end += width + 2
+    table[:, -1] = ord("\n")
+    body = table.tobytes().decode("ascii" if kind == np.uint8 else f"utf-32-{sys.byteorder[0]}e")
+    return f"{titles.rstrip()}\n{body}".rstrip("\n")
+
+
+def format_state(buses: Table, branches: Table) -> str:
+    """Voltages and injections of all buses, and flows of the branches in service."""
+    columns = [
+        _name_rows(buses.bus, buses.name),
+        write_fixed(buses.vm_pu, 5),
+        write_significant(buses.vm_kv, 4),
+        write_fixed(buses.va_deg, 4),
+        _powers(buses.p_kw),
+        _powers(buses.q_kvar),
+    ]
+    of_buses = _join_cells(("bus", "vm p.u.", "kV", "va deg", "injection kW", "kvar"), columns)
+    return f"{of_buses}\n\n{_format_branches(branches)}"
+
+
+def format_power_flow(result: PowerFlowResult, tables: Results) -> str:
+    """Voltages and injections of all buses, flows of the branches in service, and the losses."""
+    losses = result.losses * base_kw(result.network)
+    steps = "backward and forward sweeps" if result.method == "sweep" else "Newton-Raphson steps"
+    total = f"losses {_power(losses.real)} kW, {_power(losses.imag)} kvar; {result.iterations} {steps}"
+    return f"{format_state(tables.buses, tables.branches)}\n\n{total}"
+
+
+def format_estimate(report: BadDataReport, tables: Results) -> str:
+    """The centralised estimate, beside the truth where it is known, flows of the branches, and its bad-data report."""
+    buses = tables.buses
+    with_truth = not np.isnan(buses.true_vm_pu).all()
+    true = ("true",) if with_truth else ()
+    columns = [
+        _name_rows(buses.bus, buses.name),
+        write_fixed(buses.vm_pu, 5),
+        write_fixed(buses.sigma_vm_pu, 5),
+        *([write_fixed(buses.true_vm_pu, 5)] if with_truth else ()),
+        write_fixed(buses.va_deg, 4),
+        write_fixed(buses.sigma_va_deg, 4),
+        *([write_fixed(buses.true_va_deg, 4)] if with_truth else ()),
+        *map(_powers, (buses.p_kw, buses.sigma_p_kw, buses.q_kvar, buses.sigma_q_kvar)),
+    ]
+    header = ("bus", "vm p.u.", "sigma", *true, "va deg", "sigma", *true, "injection kW", "sigma", "kvar", "sigma")
+    findings = "\n".join(map(printable, format_bad_data(report)))
+    return "\n\n".join([_join_cells(header, columns), _format_branches(tables.branches), findings])
+
+
+def _format_branches(branches: Table) -> str:
+    """Flows at the from end, currents and losses of the branches in service, without columns known of no branch."""
+    larger_at_from = branches.i_from_a >= branches.i_to_a
+    shown = {
+        "P kW": branches.p_from_kw,
+        "sigma P": branches.sigma_p_from_kw,
+        "Q kvar": branches.q_from_kvar,
+        "sigma Q": branches.sigma_q_from_kvar,
+        "I A": np.fmax(branches.i_from_a, branches.i_to_a),
+        "sigma I": np.where(larger_at_from, branches.sigma_i_from_a, branches.sigma_i_to_a),
+        "loss kW": branches.loss_kw,
+        "loading %": branches.loading_percent,
+    }
+    used = branches.in_service
+    known = {header: column[used] for header, column in shown.items() if not np.isnan(column[used]).all()}
+    of_branches = _name_rows(branches.branch, branches.name)[:, used]
+    return _join_cells(["branch", *known], [of_branches, *map(_powers, known.values())])
+
+
+def _describe_backend(report: BadDataReport) -> str:
+    """The back end that found the state, and the reason if it was not the compiled one."""
+    radial = report.result.plan.radial
+    return f"{report.result.backend}: {radial}" if isinstance(radial, str) else report.result.backend
+
+
+def format_bad_data(report: BadDataReport) -> list[str]:
+    """Lines on the chi-square test, the removed measurements, the bad data that remain, and the critical meters."""
+    lines = [
+        f"J = {report.objective:.4g} with {report.degrees_of_freedom} degrees of freedom, "
+        f"limit {report.chi_square_limit:.4g}; {report.result.iterations} iterations, "
+        f"back end {_describe_backend(report)}"
+    ]
+    for removed in report.removed:
+        others = removed.indistinguishable_from
+        lines.append(
+            f"removed as bad data: {removed.measurement.meter} (normalised residual {removed.normalized_residual:.3g})"
+            + (f"; the data cannot tell it from {', '.join(others)}" if others else "")
+        )
+    if report.detected:
+        lines.append(f"bad data is still detected{_format_suspect(report.suspect)}")
+    elif not report.removed:
+        lines.append("no bad data detected")
+    if report.n_without_variance:
+        lines.append(
+            f"no bad data identification by residuals for {report.n_without_variance} of {report.n_meters} meters: "
+            "the variances of all residuals would take too long in a network with so many long loops; "
+            "known are those of the largest weighted residuals"
+        )
+    if report.critical:
+        lines.append(f"critical, their errors cannot be seen: {', '.join(report.critical)}")
+    return lines
+
+
+def _format_suspect(suspect: SuspectKept | None) -> str:
+    """Reason, for the end of a line, why bad data that are still detected were not removed."""
+    if suspect is None:
+        return ", but no normalised residual stands out"
+    reason = {
+        "critical": "without it the state is not determined",
+        "diverges": "without it the estimate does not converge",
+        "steps used up": "bad data are looked for no longer, as the steps of the scan are used up",
+    }[suspect.reason]
+    return f": {suspect.meter} has the largest normalised residual, {suspect.normalized_residual:.3g}, but {reason}"
+
+
+def _name_rows(ids: Sequence[str] | np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """Labels of the rows of a table as cells: their ids, each with its name if it has one."""
+    called = list(map(str, ids.tolist())) if isinstance(ids, np.ndarray) else list(ids)
+    if any(names):
+        short = (shortened(name, LONGEST_NAME_SHOWN) for name in names)
+        called = [f"{of} {name}" if name else of for of, name in zip(called, short, strict=True)]
+    return write_texts(all_printable(called))
+
+
+def _powers(values: np.ndarray) -> np.ndarray:
+    """Cells with the text of ``_power`` for each of ``values`` (n,)."""
+    size = abs(values)
+    cells = np.where(np.isnan(values), ord("-"), ord("0")).astype(np.uint8)[None]
+    small = (size >= SMALLEST_SHOWN) & (size < 1)
+    cells = place(cells, small, write_significant(values[small], 3))
+    return place(cells, size >= 1, write_fixed(values[size >= 1], 2))
+
+
+def _power(value: float) -> str:
+    """Text of a value in kW, kvar, A or percent: two decimals, or three significant digits below 1; "-" for nan."""
+    if math.isnan(value):
+        return "-"
+    return "0" if abs(value) < SMALLEST_SHOWN else f"{value:.2f}" if abs(value) >= 1 else f"{value:.3g}"

@@ -1,0 +1,127 @@
+"""``report.html`` of one run: verdict, figures, tables, settings, versions, and the command that repeats it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from coordinator.lab.evaluation.result import RunResult
+from coordinator.show.figures.residuals_figure import WORDS
+from coordinator.show.figures.style import Drawing
+from coordinator.show.report.page import MAX_ROWS, Page, PageTable, write_page
+from coordinator.show.report.settings import find_origin
+from coordinator.show.report.text import describe_run, list_findings, name_outcome, tabulate_areas, tabulate_gaps
+from dsse_core.printable import printable, shortened
+from dsse_core.results.table import Table
+
+LONGEST_NAME = 40
+WORDS_OF: dict[str, dict[str, str]] = {
+    "kind": {str(kind): words.replace("\n", " ") for kind, words in WORDS.items()},
+    "unit": {"pu": "p.u.", "deg": "degrees", "kw": "kW", "kvar": "kvar", "a": "A"},
+}
+Column = tuple[str, str, str]
+"""Its heading in words, its name in the table, and the format of its numbers or the key in WORDS_OF of its texts."""
+OF_BUSES: tuple[Column, ...] = (
+    ("bus", "bus", "d"),
+    ("name", "name", ""),
+    ("area", "area", ""),
+    ("voltage (p.u.)", "vm_pu", ".5f"),
+    ("± (p.u.)", "sigma_vm_pu", ".1e"),
+    ("voltage (kV)", "vm_kv", ".4f"),
+    ("angle (degrees)", "va_deg", ".4f"),
+    ("± (degrees)", "sigma_va_deg", ".1e"),
+    ("true voltage (p.u.)", "true_vm_pu", ".5f"),
+    ("true angle (degrees)", "true_va_deg", ".4f"),
+    ("injection (kW)", "p_kw", ".2f"),
+    ("injection (kvar)", "q_kvar", ".2f"),
+)
+OF_BRANCHES: tuple[Column, ...] = (
+    ("branch", "branch", ""),
+    ("name", "name", ""),
+    ("from bus", "from_bus", "d"),
+    ("to bus", "to_bus", "d"),
+    ("power at from end (kW)", "p_from_kw", ".2f"),
+    ("± (kW)", "sigma_p_from_kw", ".1e"),
+    ("reactive power (kvar)", "q_from_kvar", ".2f"),
+    ("current (A)", "i_from_a", ".2f"),
+    ("losses (kW)", "loss_kw", ".3f"),
+    ("loading (%)", "loading_percent", ".1f"),
+)
+OF_METERS: tuple[Column, ...] = (
+    ("meter", "meter", ""),
+    ("kind", "kind", "kind"),
+    ("reading", "reading", ".6g"),
+    ("standard deviation", "sigma", ".2g"),
+    ("estimate", "estimate", ".6g"),
+    ("residual", "residual", ".3g"),
+    ("unit", "unit", "unit"),
+    ("normalised residual", "normalised_residual", ".2f"),
+    ("what became of it", "status", ""),
+)
+OF_AREAS: tuple[Column, ...] = (
+    ("area", "area", ""),
+    ("buses owned", "owned_buses", "d"),
+    ("load (kW)", "load_kw", ".2f"),
+    ("generation (kW)", "generation_kw", ".2f"),
+    ("losses (kW)", "loss_kw", ".3f"),
+    ("import (kW)", "import_kw", ".2f"),
+    ("removed meters", "removed", "d"),
+    ("critical meters", "critical", "d"),
+    ("quality", "quality", ""),
+)
+
+
+def write_run_report(result: RunResult, drawings: Sequence[Drawing], arguments: Sequence[str]) -> Path:
+    """Writes the report into the run folder, and returns its path. ``arguments``: of the command ``dsse`` of the run.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    return write_page(make_run_page(result, drawings, arguments), result.folder)
+
+
+def make_run_page(result: RunResult, drawings: Sequence[Drawing], arguments: Sequence[str]) -> Page:
+    """The content of the report of a run. ``arguments``: of the command ``dsse`` of the run."""
+    scenario, verdict = result.scenario, result.verdict
+    outcome = name_outcome(verdict)
+    return Page(
+        title=f"{scenario.name}: state estimation by {len(result.area_results)} areas",
+        subtitle=f"{describe_run(scenario)}; run {result.run}",
+        outcome=outcome[:1].upper() + outcome[1:],
+        good=verdict.consensus,
+        reasons=(verdict.reason or "").splitlines(),
+        findings=list_findings(result),
+        tables=[
+            PageTable("Gaps and errors", *tabulate_gaps(result)),
+            PageTable("Areas", *tabulate_areas(result)),
+            _tabulate("Power of the areas", result.areas, OF_AREAS),
+        ],
+        drawings=drawings,
+        more_tables=[
+            _tabulate("Buses", result.buses, OF_BUSES, "All columns, with all digits: buses.csv beside this file."),
+            _tabulate("Branches", result.branches, OF_BRANCHES, "All columns: branches.csv beside this file."),
+            _tabulate("Meters", result.meters, OF_METERS, "All columns: meters.csv beside this file."),
+        ],
+        origin=find_origin(scenario, arguments),
+    )
+
+
+def _tabulate(title: str, table: Table, columns: Sequence[Column], note: str = "") -> PageTable:
+    """The first ``MAX_ROWS`` rows of ``table``, with the columns that have values, rounded for reading."""
+    cells = [(heading, _write_cells(table[name][:MAX_ROWS], form)) for heading, name, form in columns]
+    filled = [(heading, column) for heading, column in cells if any(column) or not len(table)]
+    rows = list(zip(*(column for _, column in filled), strict=True))
+    header = [heading for heading, _ in filled]
+    return PageTable(f"{title} ({len(table)})", header, rows, note, left_out=len(table) - len(rows))
+
+
+def _write_cells(column: Sequence[object], form: str) -> list[str]:
+    if isinstance(column, tuple):
+        words = WORDS_OF.get(form, {})
+        return [shortened(printable(words.get(value, value)), LONGEST_NAME) for value in column]
+    return ["" if isinstance(v, float) and math.isnan(v) else _write_number(v, form) for v in column.tolist()]  # type: ignore[attr-defined]
+
+
+def _write_number(value: float, form: str) -> str:
+    return format(int(value) if form == "d" else value, form)

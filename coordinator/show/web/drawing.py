@@ -1,0 +1,109 @@
+"""The drawing of a grid, its constant part: places of buses, branches, areas, limits; the API's ``/api/grid``."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from agents.messages.packing import StateMessage
+from coordinator.show.figures.feeder_layout import lay_out
+from coordinator.show.figures.feeder_profile import OPERATION, find_distances, find_limits
+from dsse_core.grid.columns import read_given
+from scenarios.scenario import Scenario
+
+BUSES_IN_A_ROW = 8  # of an area that is known from the bus alone
+DECIMALS = 6  # of distances
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A drawn grid as it is sent. ``version``: differs between different drawings; every moment names its version."""
+
+    version: str
+    payload: bytes
+
+
+def encode_drawing(content: Mapping[str, Any], mode: str) -> Drawing:
+    """The drawing of ``content`` for a page of ``mode``."""
+    version = hashlib.sha256(msgspec.json.encode(content)).hexdigest()[:16]
+    return Drawing(version, msgspec.json.encode({"version": version, "mode": mode, **content}))
+
+
+def draw_scenario(scenario: Scenario) -> dict[str, Any]:
+    """The grid of ``scenario``: buses in the order of its network, branches in that of its branches."""
+    partition, network = scenario.partition, scenario.network
+    place, (distance, axis) = lay_out(network).place, find_distances(network)
+    ids = network.table.bus_id.tolist()
+    low, high = find_limits(scenario)
+    sees: dict[int, list[str]] = {bus: [] for bus in ids}
+    for area in partition.areas:
+        for bus in area.network.buses:
+            sees[bus.id].append(area.name)
+    holds = {branch.id: area.name for area in partition.areas for branch in area.network.branches}
+    return {
+        "known": True,
+        "title": scenario.name,
+        "axis": axis,
+        "limits": [low, high],
+        "buses": {
+            "id": ids,
+            "name": list(read_given(network.buses, "name")) or [""] * len(ids),
+            "base_kv": network.table.base_kv.tolist(),
+            "x": place[:, 0].tolist(),
+            "y": place[:, 1].tolist(),
+            "distance": [round(value, DECIMALS) if np.isfinite(value) else None for value in distance.tolist()],
+            "area": [partition.owner_of_bus[bus] for bus in ids],
+            "areas": [sees[bus] for bus in ids],
+        },
+        "branches": {
+            "id": list(network.branch_ids),
+            "from_bus": network.table.from_bus.tolist(),
+            "to_bus": network.table.to_bus.tolist(),
+            "in_service": [branch.in_service for branch in network.branches],
+            "area": [holds.get(branch.id, "") for branch in network.branches],
+        },
+        "areas": [
+            {
+                "name": area.name,
+                "buses": [bus.id for bus in area.network.buses],
+                "neighbours": [{"area": n.area, "bus": n.bus} for n in area.neighbours],
+            }
+            for area in partition.areas
+        ],
+    }
+
+
+def draw_states(run: str, states: Mapping[str, StateMessage]) -> dict[str, Any]:
+    """The grid as far as ``states`` tell, with the keys of ``draw_scenario``: areas side by side, their buses in rows,
+    no branches.
+    """
+    buses: dict[str, list[Any]] = {key: [] for key in ("id", "name", "base_kv", "x", "y", "distance", "area", "areas")}
+    row_of: dict[int, int] = {}
+    areas, left = [], 0
+    for name, state in states.items():
+        for k, bus in enumerate(state.buses):
+            if bus in row_of:
+                buses["areas"][row_of[bus]].append(name)
+                continue
+            row_of[bus] = len(buses["id"])
+            place = left + k % BUSES_IN_A_ROW, k // BUSES_IN_A_ROW
+            for key, value in zip(buses, (bus, "", None, *place, None, name, [name]), strict=True):
+                buses[key].append(value)
+        left += min(BUSES_IN_A_ROW, len(state.buses)) + 2
+        shared = {other: sorted({*state.buses} & {*states[other].buses}) for other in state.sent if other in states}
+        neighbours = [{"area": other, "bus": bus} for other, found in shared.items() for bus in found]
+        areas.append({"name": name, "buses": list(state.buses), "neighbours": neighbours})
+    return {
+        "known": False,
+        "title": run,
+        "axis": "",
+        "limits": list(OPERATION),
+        "buses": buses,
+        "branches": {key: [] for key in ("id", "from_bus", "to_bus", "in_service", "area")},
+        "areas": areas,
+    }

@@ -1,0 +1,192 @@
+"""One moment of a run as the page and the API show it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from agents.protocol.quality import GOOD, QUALITIES
+from coordinator.show.web.history import History
+from coordinator.show.web.shown_tables import Tables, draw_tables
+from coordinator.watch.observe.grid_tables import GridTables, collect_readings, list_buses
+from coordinator.watch.observe.view import AreaView, View
+from coordinator.watch.observe.view_json import describe_view
+from coordinator.watch.observe.watch import Watcher
+
+MOST_EVENTS = 200
+
+Links = Sequence[Mapping[str, Any]]
+"""Of ``find_links``."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Link:
+    """The last known condition of a link."""
+
+    is_dead: bool = False  # False also for a link that has not begun to work
+    has_worked: bool = False
+
+
+@dataclass
+class Events:
+    """Events: changes from one view to the next, in words. ``kept``: the newest ones."""
+
+    kept: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_EVENTS))
+    _before: dict[str, AreaView] = field(default_factory=dict)
+    _links: dict[tuple[str, str], _Link] = field(default_factory=dict)  # sender first
+
+    def take(self, at: float, view: View, links: Links) -> None:
+        """Adds an event for each difference from the last view and its links, see ``find_links``."""
+        for area in view.areas:
+            before = self._before.get(area.name)
+            for kind, text in _find_changes(before, area):
+                self.kept.append({"time": at, "area": area.name, "kind": kind, "text": text})
+        seen = {area.name: area for area in view.areas}
+        for name, before in self._before.items():
+            if name not in seen and before.present:
+                self.kept.append({"time": at, "area": name, "kind": "vanished", "text": "is gone"})
+        self._before = seen
+        self._take_links(at, view, links)
+
+    def _take_links(self, at: float, view: View, links: Links) -> None:
+        """Adds an event for each link that stops working, that does not work although its receiver estimates, or that
+        works after either. Links of an area that is absent or silent have no events; the area has its own.
+        """
+        there = {area.name: area for area in view.areas if area.present and not area.silent}
+        before, self._links = self._links, {}
+        for link in links:
+            sender, receiver, works = link["from"], link["to"], link["alive"]
+            known = before.get((sender, receiver), _Link())
+            is_reported = there.keys() >= {sender, receiver} and (known.has_worked or there[receiver].estimated)
+            if is_reported and works == known.is_dead:
+                text = f"receives nothing from {sender}"
+                if works:
+                    text = f"receives from {sender}{' again' if known.has_worked else ''}"
+                self.kept.append({"time": at, "area": receiver, "kind": "link", "text": text})
+            is_dead = not works and (is_reported or known.is_dead or known.has_worked)
+            self._links[sender, receiver] = _Link(is_dead, known.has_worked or works)
+
+
+def _find_changes(before: AreaView | None, area: AreaView) -> Iterable[tuple[str, str]]:
+    if before is None or before.present != area.present:
+        left = f" and left: {area.leave_reason}" if area.leave_reason else ""
+        yield ("appeared", "is there") if area.present else ("vanished", f"is gone{left}")
+    if before is None or before.quality != area.quality:
+        yield "quality", f"{area.quality}{f': {area.notes[0]}' if area.notes and area.quality != GOOD else ''}"
+    removed = before.removed if before else ()
+    for meter in area.removed:
+        if meter not in removed:
+            yield "removed", f"{meter} is taken out as bad data"
+    off = before.meters_off if before else ()
+    if {*off} != {*area.meters_off}:
+        yield "operator", f"meters off: {', '.join(area.meters_off) or 'none'}"
+
+
+class Moments:
+    """Makes moments from the messages that a watcher has received, and keeps their past.
+
+    ``known``: the grid, if its scenario is known.
+    """
+
+    def __init__(self, known: GridTables | None) -> None:
+        self.known = known
+        self.history = History()
+        self.events = Events()
+        self.tables = Tables(list_buses({}), None, collect_readings({}, {}))  # of the last moment
+        self._scans_kept: object = None
+
+    def note(self, watcher: Watcher, now: float, at: float) -> View:
+        """The view at ``now`` on the watcher's clock. Events and past take in its changes with the time ``at``, s."""
+        view = watcher.look(now)
+        self._note(at, view, find_links(view), lambda: find_tables(watcher, self.known))
+        return view
+
+    def _note(self, at: float, view: View, links: Links, find_tables: Callable[[], Tables]) -> None:
+        self.events.take(at, view, links)
+        scans = tuple((area.name, area.scan, area.quality) for area in view.areas)
+        if scans != self._scans_kept:
+            self._scans_kept = scans
+            self._keep(at, view, find_tables())
+
+    def make(self, watcher: Watcher, now: float, at: float, **more: Any) -> dict[str, Any]:
+        """The moment at ``now``, see ``note``: the drawn columns of buses and branches, and the worst meters.
+
+        ``more``: further keys, which replace those of the moment.
+        """
+        view, tables = watcher.look(now), find_tables(watcher, self.known)
+        links = find_links(view)
+        self._note(at, view, links, lambda: tables)
+        self.tables = tables
+        return {
+            "at": at,
+            "view": describe_view(view),
+            **draw_tables(tables, has_grid=self.known is not None),
+            "links": links,
+            "events": list(self.events.kept),
+            "messages": [],
+            "has_messages": False,
+            **more,
+        }
+
+    def _keep(self, at: float, view: View, tables: Tables) -> None:
+        of, (buses, branches, meters) = self.history.of, tables
+        of["bus"].take(at, buses.bus.tolist(), {name: buses[name] for name in of["bus"].columns})
+        if branches is not None:
+            of["branch"].take(at, branches.branch, {name: branches[name] for name in of["branch"].columns})
+        of["meter"].take(at, meters["meter"], {name: meters[name] for name in of["meter"].columns})
+        areas = {
+            "quality": [_number_quality(area.quality) for area in view.areas],
+            "lowest_vm_pu": [np.nan if area.lowest_vm is None else area.lowest_vm.value for area in view.areas],
+            "highest_vm_pu": [np.nan if area.highest_vm is None else area.highest_vm.value for area in view.areas],
+            "messages": [area.messages for area in view.areas],
+            "lost": [area.lost for area in view.areas],
+        }
+        columns = {name: np.array(column, dtype=float) for name, column in areas.items()}
+        of["area"].take(at, [area.name for area in view.areas], columns)
+
+
+def find_tables(watcher: Watcher, known: GridTables | None) -> Tables:
+    """Tables of the messages that ``watcher`` has received. ``known``: the grid, if its scenario is known."""
+    states, readings = watcher.states, watcher.readings
+    if known is None:
+        return Tables(list_buses(states), None, collect_readings(states, readings))
+    return Tables(*known.buses_and_branches(states), known.collect_meters(states, readings))
+
+
+def encode_json(content: object) -> bytes:
+    """``content`` as JSON; nan and infinity become null."""
+    return msgspec.json.encode(content)
+
+
+def _number_quality(quality: str) -> int:
+    """Number of a quality: 0 is good, larger is worse; an unknown word has the largest number."""
+    return QUALITIES.index(quality) if quality in QUALITIES else len(QUALITIES)
+
+
+def find_links(view: View) -> list[dict[str, Any]]:
+    """Links between neighbouring areas, one for each direction.
+
+    ``age_s``: age of the last message, as the receiver reports it. ``alive``: True where both areas are present, the
+    receiver is not silent, and the age is below its limit.
+    """
+    present = {area.name: area for area in view.areas}
+    return [
+        {
+            "from": other,
+            "to": area.name,
+            "age_s": area.ages_s.get(other),
+            "alive": area.present
+            and not area.silent
+            and other in present
+            and present[other].present
+            and other in area.ages_s
+            and area.ages_s[other] < area.silent_after_s,
+        }
+        for area in view.areas
+        for other in area.neighbours
+    ]

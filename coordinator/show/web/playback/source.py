@@ -1,0 +1,130 @@
+"""Source of a played run, moment by moment, forwards and backwards: every message between areas, every state."""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from operator import itemgetter
+from typing import Any
+
+from agents.messages.packing import StateMessage
+from coordinator.show.web.drawing import Drawing, draw_scenario, draw_states, encode_drawing
+from coordinator.show.web.moment import MOST_EVENTS, Moments, encode_json, find_tables
+from coordinator.show.web.playback.course import Course
+from coordinator.show.web.playback.past import PastOfPlay
+from coordinator.show.web.playback.play import Play, Sent
+from coordinator.show.web.shown_tables import Tables
+from coordinator.show.web.sources import Frame
+from coordinator.watch.observe.grid_tables import GridTables
+from scenarios.scenario import Scenario
+
+MOST_FRAMES = 20_000
+
+
+class PlaybackSource:
+    """Source of ``play``, drawn from ``scenario`` if it is known. A frame is a time of an update or a message.
+
+    ``remarks``: sentences about parts that it lacks. ``is_complete``: True where the play does not grow any more.
+    ``drawing``: that of ``scenario``, if it has been made already. A frame is made on request, from the nearest earlier
+    copy of the watcher, because all frames together may have gigabytes.
+
+    Raises:
+        ValueError: ``play`` has no updates.
+    """
+
+    mode = "playback"
+
+    def __init__(
+        self,
+        play: Play,
+        scenario: Scenario | None,
+        remarks: Sequence[str] = (),
+        *,
+        drawing: Drawing | None = None,
+        is_complete: bool = True,
+    ) -> None:
+        if not play.updates:
+            raise ValueError("nothing has happened")
+        self._play, self._known = play, GridTables(scenario) if scenario else None
+        times = {at for at, _ in play.updates}
+        times |= {at for sent in play.messages for at in (sent.at, sent.arrived) if at is not None}
+        self._times = sorted(times)[:MOST_FRAMES]
+        is_whole = not play.is_full and len(times) <= MOST_FRAMES
+        self.remarks = (*remarks, *(() if is_whole else ("the run is long: its first part is played",)))
+        self._sent_at = [sent.at for sent in play.messages]
+        self._longest_way_s = max((s.arrived - s.at for s in play.messages if s.arrived is not None), default=0.0)
+        self._course = Course(play, frozenset(area.name for area in scenario.partition.areas) if scenario else None)
+        self._events = self._course.find_events()
+        self._past = PastOfPlay(self._course, scenario)
+        self._drawing = drawing or encode_drawing(_draw(play, scenario), self.mode)
+        self.is_complete = is_complete
+
+    def close(self) -> None:
+        """Ends the computation of the past."""
+        self._past.close()
+
+    @cached_property
+    def newest(self) -> Frame:
+        return Frame(len(self._times), self.frame(len(self._times) - 1))
+
+    @property
+    def drawing(self) -> Drawing:
+        return self._drawing
+
+    def read_history(self, kind: str, name: str) -> dict[str, Any]:
+        past = self._past.read(kind, name)
+        return past | {"complete": past["complete"] and self.is_complete}
+
+    @property
+    def since(self) -> float:
+        return self._play.since
+
+    def times(self) -> Sequence[float]:
+        return self._times
+
+    def tables(self, number: int | None = None) -> Tables:
+        at = self._times[len(self._times) - 1 if number is None else number]
+        return find_tables(self._course.watcher_at(at), self._known)
+
+    def frame(self, number: int) -> bytes:
+        at, before = self._times[number], self._times[number - 1] if number else 0.0
+        moment = Moments(self._known).make(
+            self._course.watcher_at(at),
+            at,
+            at,
+            number=number,
+            grid_version=self._drawing.version,
+            mode=self.mode,
+            time=self._play.since + at,
+            has_messages=bool(self._play.messages),
+            messages=[_describe(sent, at) for sent in self._messages_at(before, at)],
+        )
+        end = bisect.bisect_right(self._events, at, key=itemgetter("time"))
+        return encode_json(moment | {"events": self._events[max(0, end - MOST_EVENTS) : end]})
+
+    def _messages_at(self, before: float, at: float) -> Iterator[Sent]:
+        """Messages on their way at ``at``, and those that have arrived or were sent and lost since ``before``."""
+        begin = bisect.bisect_left(self._sent_at, before - self._longest_way_s)
+        for sent in self._play.messages[begin : bisect.bisect_right(self._sent_at, at)]:
+            is_lost_now = sent.arrived is None and sent.at > before
+            if is_lost_now or sent.at == at or (sent.arrived is not None and sent.arrived > before):
+                yield sent
+
+
+def _draw(play: Play, scenario: Scenario | None) -> dict[str, Any]:
+    if scenario is not None:
+        return draw_scenario(scenario)
+    return draw_states(play.run, {s.header.sender: s for _, s in play.updates if isinstance(s, StateMessage)})
+
+
+def _describe(sent: Sent, at: float) -> dict[str, Any]:
+    arrived = sent.arrived if sent.arrived is not None and sent.arrived <= at else None
+    return {
+        "from": sent.sender,
+        "to": sent.receiver,
+        "kind": sent.kind,
+        "sent": sent.at,
+        "arrived": arrived,
+        "lost": sent.arrived is None,
+    }

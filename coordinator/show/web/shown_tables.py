@@ -1,0 +1,80 @@
+"""Tables of a moment for a page: the drawn columns with every moment, the others by request."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from coordinator.watch.observe.grid_tables import Columns, order_worst_first, pick_rows
+from dsse_core.results.table import Table
+
+MOST_METERS = 100  # the worst meters, sent with every moment
+MOST_ROWS = 1000  # of one request
+# column -> decimals: enough for a page, in a third of the bytes
+BUS = {"vm_pu": 6, "va_deg": 5, "sigma_vm_pu": 7, "sigma_va_deg": 6, "p_kw": 3, "q_kvar": 3}
+BRANCH = {"p_from_kw": 3, "q_from_kvar": 3, "i_from_a": 3, "loss_kw": 4, "loading_percent": 2}
+METER = {"reading": 6, "sigma": 7, "estimate": 6, "residual_in_sigmas": 3, "normalised_residual": 3, "age_s": 1}
+DRAWN_OF_BUS, DRAWN_OF_BRANCH = {"vm_pu": 5, "sigma_vm_pu": 6}, {"loading_percent": 1}
+WORDS = ("meter", "area", "status", "unit")
+
+
+class Tables(NamedTuple):
+    """The tables of a moment. ``branches``: None where the grid is not known."""
+
+    buses: Table
+    branches: Table | None
+    meters: Columns
+
+
+def draw_tables(tables: Tables, *, has_grid: bool) -> dict[str, Any]:
+    """The tables sent with a moment: columns in the order of the grid, or with the ``id`` of each bus without a grid;
+    columns without any value are left out.
+    """
+    buses, branches, meters = tables
+    worst = order_worst_first(meters, MOST_METERS)
+    return {
+        "buses": _round(_known(buses, DRAWN_OF_BUS), DRAWN_OF_BUS) | ({} if has_grid else {"id": buses.bus.tolist()}),
+        "branches": {} if branches is None else _round(_known(branches, DRAWN_OF_BRANCH), DRAWN_OF_BRANCH),
+        "meters": _describe(pick_rows(meters, worst), METER),
+        "meter_counts": Counter(meters["status"]),
+    }
+
+
+def select_rows(tables: Tables, kind: str, name: str | None, first: int, count: int) -> dict[str, Any]:
+    """All columns of the row with the id ``name``, or of ``count`` rows from ``first`` on, the worst meters first.
+
+    ``total``: number of rows in the table.
+    """
+    columns, key, decimals = _find_columns(tables, kind)
+    ids = [str(each) for each in columns[key]] if key in columns else []
+    if name is not None:
+        rows = np.array([k for k, each in enumerate(ids) if each == name], dtype=np.int64)
+    else:
+        end = first + count
+        rows = (order_worst_first(columns, end) if kind == "meter" else np.arange(len(ids)))[first:end]
+    picked = pick_rows(columns, rows)
+    return {"total": len(ids), "rows": {"id": [ids[k] for k in rows.tolist()]} | _describe(picked, decimals)}
+
+
+def _find_columns(tables: Tables, kind: str) -> tuple[Columns, str, Mapping[str, int]]:
+    if kind == "meter":
+        return tables.meters, "meter", METER
+    table, key, decimals = (tables.buses, "bus", BUS) if kind == "bus" else (tables.branches, "branch", BRANCH)
+    return {} if table is None else {name: table[name] for name in table.columns}, key, decimals
+
+
+def _known(table: Table, names: Mapping[str, int]) -> Columns:
+    return {name: table[name] for name in names if not np.isnan(table[name]).all()}
+
+
+def _describe(columns: Columns, decimals: Mapping[str, int]) -> dict[str, Any]:
+    """Columns of numbers, rounded, and columns of words."""
+    return _round(columns, decimals) | {name: columns[name] for name in WORDS if name in columns}
+
+
+def _round(columns: Columns, decimals: Mapping[str, int]) -> dict[str, Any]:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return {name: np.round(columns[name], n).tolist() for name, n in decimals.items() if name in columns}

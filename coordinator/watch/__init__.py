@@ -1,0 +1,1 @@
+"""Systems seen from outside: the watcher of a run, metrics, recordings and their playback."""

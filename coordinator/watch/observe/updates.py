@@ -1,0 +1,56 @@
+"""Queue of updates between the threads of bus and processes and the single loop of a command."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from dataclasses import dataclass
+from typing import Any
+
+MAX_WAITING = 100_000  # updates, and
+MOST_BYTES = 64 * 2**20  # of messages in them
+
+
+@dataclass(frozen=True, slots=True)
+class _Sized:
+    """A message of ``size`` bytes that waits."""
+
+    size: int
+    item: Any
+
+
+class Updates(queue.SimpleQueue[Any]):
+    """Updates from bus and processes in the order of arrival, for the single loop of the coordinator."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._lock = threading.Lock()
+        self._bytes = 0  # of messages that wait
+
+    def offer(self, item: Any, *, sent_once: bool = False, size: int = 0) -> None:
+        """Adds ``item``, or drops it where too much waits. Items that every heartbeat repeats are dropped first.
+
+        ``sent_once``: the item is not repeated, and has twice the room. ``size``: bytes of its message and key.
+        """
+        with self._lock:
+            share = 2 if sent_once else 1
+            if self.qsize() < MAX_WAITING * share and self._bytes + size <= MOST_BYTES * share:
+                self._bytes += size
+                self.put(_Sized(size, item) if size else item)
+
+    def take(self, timeout_s: float) -> list[Any]:
+        """Waits up to ``timeout_s`` for an item, and returns all items that have arrived by then.
+
+        Items that arrive during the call are left for the next one, so that the call ends under a flood of messages.
+        """
+        try:
+            first = self.get(timeout=max(0.0, timeout_s))
+        except queue.Empty:
+            return []
+        items = [first, *(self.get_nowait() for _ in range(self.qsize()))]
+        sized = [item for item in items if isinstance(item, _Sized)]
+        if not sized:
+            return items
+        with self._lock:
+            self._bytes -= sum(item.size for item in sized)
+        return [item.item if isinstance(item, _Sized) else item for item in items]

@@ -1,0 +1,35 @@
+"""A watcher's view as JSON, for ``dsse watch --json`` and for the page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+from coordinator.watch.observe.view import AreaView, Extreme, View
+from coordinator.watch.tables.table_files import columns_as_json
+from dsse_core.results.table import Table
+
+OF_AREA = tuple(field.name for field in fields(AreaView) if field.name != "name")
+
+
+def describe_view(view: View) -> dict[str, Any]:
+    """A view as ``dsse watch --json`` prints it: areas by name."""
+    names = "others", "more_others", "duplicates", "other_versions", "strangers"
+    about = {name: getattr(view, name) for name in names}
+    return {"run": view.run, **about, "areas": {area.name: _describe_area(area) for area in view.areas}}
+
+
+def _describe_area(area: AreaView) -> dict[str, Any]:
+    values = {name: getattr(area, name) for name in OF_AREA}
+    described = {name: _describe_extreme(v) if isinstance(v, Extreme) else v for name, v in values.items()}
+    return {"state": area.state} | described
+
+
+def _describe_extreme(extreme: Extreme) -> dict[str, Any]:
+    return {"value": extreme.value, "at": extreme.at}
+
+
+def describe_tables(tables: Mapping[str, Table]) -> dict[str, dict[str, list[Any]]]:
+    """Name -> the columns of a table, each with all its values; None for unknown values."""
+    return {name: columns_as_json(table) for name, table in tables.items()}
