@@ -29,7 +29,8 @@ LOAD_PANDAPOWER = {
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--thorough", action="store_true", help="as many random cases as the documentation claims")
+    parser.addoption("--long", action="store_true", help="the tests and random cases that a plain run leaves out")
+    parser.addoption("--thorough", action="store_true", help="all tests, on as many cases as the documents claim")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -64,11 +65,22 @@ def compile_ahead(config: pytest.Config) -> None:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """``random_seed``: of one random case; ``few`` and ``many`` of the marker say how many there are."""
+    """``random_seed`` of one random case, and ``n_cases`` of a collection that is one test.
+
+    The markers say how many: ``few`` in a plain run, ``long`` with those of ``--long``, ``many`` with ``--thorough``.
+    """
     marker = metafunc.definition.get_closest_marker("random_cases")
     if marker is not None:
-        count = marker.kwargs["many" if metafunc.config.getoption("--thorough") else "few"]
-        metafunc.parametrize("random_seed", range(count))
+        few, more = marker.kwargs["few"], marker.kwargs["long"]
+        seeds: list[object] = [*range(few), *(pytest.param(k, marks=pytest.mark.long) for k in range(few, more))]
+        if metafunc.config.getoption("--thorough"):
+            seeds = [*range(marker.kwargs["many"])]
+        metafunc.parametrize("random_seed", seeds)
+    marker = metafunc.definition.get_closest_marker("n_cases")
+    if marker is not None:
+        few, more, many = (marker.kwargs[name] for name in ("few", "long", "many"))
+        longer = [pytest.param(more, marks=pytest.mark.long)] if more > few else []
+        metafunc.parametrize("n_cases", [many] if metafunc.config.getoption("--thorough") else [few, *longer])
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -81,11 +93,24 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 @pytest.hookimpl(tryfirst=True)  # before ``-m`` chooses
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """``quick``: tests of units that are not ``long``; in other folders, modules say it themselves."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """``quick``: tests of units that are not ``slow``; in other folders, modules say it themselves.
+
+    A plain run leaves out ``long`` and ``thorough`` tests; ``--long`` runs the long ones alone, ``--thorough`` all.
+    """
     for item in items:
-        if UNITS in item.path.parents and item.get_closest_marker("long") is None:
+        if UNITS in item.path.parents and item.get_closest_marker("slow") is None:
             item.add_marker("quick")
+    if not config.getoption("--thorough"):
+        wanted = [item for item in items if level_of(item) == ("long" if config.getoption("--long") else "plain")]
+        kept = set(wanted)
+        config.hook.pytest_deselected(items=[item for item in items if item not in kept])
+        items[:] = wanted
+
+
+def level_of(item: pytest.Item) -> str:
+    """The least of the levels that runs a test."""
+    return next((level for level in ("thorough", "long") if item.get_closest_marker(level) is not None), "plain")
 
 
 @pytest.fixture

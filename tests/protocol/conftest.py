@@ -1,4 +1,4 @@
-"""What runs on the back ends of the exact exchange: on each of them, or on one after the other."""
+"""Back ends of the exact exchange: each of them, or one after the other."""
 
 from collections.abc import Iterator
 
@@ -9,8 +9,12 @@ from tests.support.back_ends import BACK_ENDS, back_end
 IN_TURN = "in turn"
 
 
-@pytest.fixture(scope="module", params=BACK_ENDS)
+@pytest.fixture(
+    scope="module",
+    params=[name if name == "dense" else pytest.param(name, marks=pytest.mark.long) for name in BACK_ENDS],
+)
 def each_back_end(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Small areas are dense; the same claim on the other back ends is ``long``."""
     with back_end(request.param):
         yield
 

@@ -24,7 +24,7 @@ def test_scan_after_scan_leaves_no_cycle_of_objects_behind(strategy: str):
         for k in range(count):
             telemetry: dict[str, tuple[Measurement, ...]] = scans[k % 2]
             bus.next_scan(telemetry)
-            bus.run(5.0)
+            bus.run(2.0)
 
     run_scans(4)
     gc.collect()

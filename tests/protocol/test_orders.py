@@ -98,7 +98,7 @@ def test_a_scan_that_is_asked_for_begins_a_term_and_ends_with_the_same_readings(
     assert find_gap(bus.states) < LIMIT
 
 
-@pytest.mark.parametrize("strategy", ["angle-offset", "admm"])
+@pytest.mark.parametrize("strategy", ["angle-offset", pytest.param("admm", marks=pytest.mark.long)])
 def test_under_every_strategy_a_meter_that_is_off_is_not_used(strategy: str):
     files, meter = area_files_of(SCENARIO, strategy=strategy), spared_meter("area1")
     without = {name: [m for m in part if m.meter.id != meter] for name, part in TELEMETRY.by_area.items()}

@@ -345,7 +345,7 @@ ALL_THREE = ("area1", "area2", "area3")
         ("angle-offset", 1e12, ALL_THREE),
         ("information", 1e12, ALL_THREE),
         ("admm", 1e3, ALL_THREE),
-        ("admm", 1e3, ("area2",)),
+        pytest.param("admm", 1e3, ("area2",), marks=pytest.mark.long),
     ],
 )
 def test_readings_that_break_the_iteration_are_forgotten_with_the_next_scan(strategy, value, misread):

@@ -14,7 +14,7 @@ from tests.support.drawn_files import draw_scenario
 from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 
-@pytest.mark.random_cases(few=30, many=2000)
+@pytest.mark.random_cases(few=10, long=30, many=2000)
 def test_what_files_allow_reaches_every_area_and_watcher(tmp_path: Path, random_seed: int) -> None:
     scenario = draw_scenario(tmp_path, random.Random(random_seed))
     bus = SimulatedBus(area_files_of(scenario), make_telemetry(scenario).by_area)

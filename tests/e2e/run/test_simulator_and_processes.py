@@ -32,7 +32,7 @@ def test_the_simulator_ends_where_real_processes_do(name: str, tmp_path: Path):
     assert (real.verdict.virtual_s, simulator.verdict.virtual_s is None) == (None, False)
 
 
-@pytest.mark.random_cases(few=1, many=50)
+@pytest.mark.random_cases(few=1, long=1, many=50)
 def test_what_files_allow_ends_alike_on_the_simulator_and_on_processes(random_seed: int, tmp_path: Path):
     draw_scenario(tmp_path, random.Random(random_seed))
     drawn = tmp_path / "drawn.toml"

@@ -17,7 +17,7 @@ from tests.support.system_by_hand import SystemByHand
 from tests.support.tcp_fault_proxy import TcpFaultProxy
 from tests.support.waiting import DEADLINE_S, wait_until
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow
 LONG_MS = DEADLINE_S * 1000
 RED = 168, 7, 26  # --bad of the light style sheet
 

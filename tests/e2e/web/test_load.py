@@ -23,7 +23,7 @@ from tests.support.served import played, serving
 from tests.support.shown_states import published_by
 from tests.support.waiting import DEADLINE_S, wait_until
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow
 ME = Incarnation(1, 1)
 # Bytes: what a browser compiles and caches meanwhile; a kept moment is 40 kB, 1000 of them 40 MB.
 MOST_GROWTH = 4_000_000

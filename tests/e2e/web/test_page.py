@@ -20,7 +20,7 @@ from tests.support.dsse_command import free_endpoint
 from tests.support.system_by_hand import SystemByHand, agreeing_system
 from tests.support.waiting import DEADLINE_S, wait_until
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow
 LONG_MS = DEADLINE_S * 1000
 
 

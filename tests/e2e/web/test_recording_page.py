@@ -24,7 +24,7 @@ from tests.support.browser import (
 from tests.support.system_by_hand import SystemByHand, agreeing_system
 from tests.support.waiting import wait_until
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow
 AREAS_OF_ALL_MOMENTS = """async () => {
   const { times } = await (await fetch("/api/frames")).json(), found = [];
   for (const k of times.keys()) found.push((await (await fetch(`/api/frame/${k}`)).json()).view.areas);

@@ -15,7 +15,7 @@ from benchmarks.fault_histories.history import GAP, HistoryOutcome, run_history
 from tests.support.back_ends import back_end
 
 
-@pytest.mark.random_cases(few=6, many=1000)
+@pytest.mark.random_cases(few=3, long=6, many=1000)
 def test_after_any_history_of_faults_the_areas_are_good_and_at_the_centralised_estimate(random_seed: int):
     outcome = run_history(random_seed)
     assert outcome.gap <= GAP

@@ -100,7 +100,7 @@ def assert_all_name(bus: SimulatedBus, shown: list[StateMessage], name: str, *sp
         assert all(str(split) in note for split in splits), note
 
 
-@pytest.mark.random_cases(few=6, many=90)
+@pytest.mark.random_cases(few=2, long=6, many=90)
 @pytest.mark.parametrize("what", EDITS)
 def test_one_older_or_edited_file_leaves_no_area_good_and_all_name_it_within_one_scan(what: str, random_seed: int):
     rng = np.random.default_rng([random_seed, list(EDITS).index(what)])

@@ -20,11 +20,6 @@ VICTIM, NAMED = "area1", "area2"  # which is deceived, in whose name
 FARTHEST = 599.0  # s by which a clock may be ahead
 
 
-@pytest.fixture
-def uptime_s(pytestconfig: pytest.Config) -> float:
-    return 600.0 if pytestconfig.getoption("--thorough") else 15.0
-
-
 def run_for(uptime_s: float, strategy: str = "information") -> SimulatedBus:
     bus = SimulatedBus(area_files_of(SCENARIO, strategy=strategy), make_telemetry(SCENARIO).by_area)
     bus.run(uptime_s)
@@ -75,6 +70,7 @@ def lose_first(bus: SimulatedBus, sender: str, kinds: tuple[str, ...]) -> None:
     bus.reject_delivery = is_first
 
 
+@pytest.mark.parametrize("uptime_s", [15.0, pytest.param(600.0, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("back", [0.01, 0.5, 1.0])
 @pytest.mark.parametrize("fault", ["lost", "frozen"])
 def test_an_answer_to_a_message_of_long_ago_delays_no_scan(fault: str, back: float, uptime_s: float):

@@ -179,7 +179,7 @@ def test_an_area_that_the_next_split_leaves_out_is_waited_for_until_it_is_stoppe
     assert_over(system, scans=6)
 
 
-@pytest.mark.random_cases(few=3, many=400)
+@pytest.mark.random_cases(few=1, long=3, many=400)
 def test_after_any_history_of_faults_all_areas_are_good_on_the_next_split_and_none_was_good_wrongly(random_seed: int):
     """Areas die, are cut off and come back, files come and go, links lose messages; then all is as it should be."""
     rng = np.random.default_rng(random_seed)

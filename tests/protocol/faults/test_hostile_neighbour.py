@@ -44,7 +44,7 @@ def spoil(message, rng: np.random.Generator):
     return replace(message, **changes)
 
 
-@pytest.mark.random_cases(few=2, many=60)
+@pytest.mark.random_cases(few=2, long=2, many=60)
 @pytest.mark.parametrize("strategy", ["information", "angle-offset", "admm"])
 def test_whatever_a_neighbour_says_states_stay_finite_and_recover_when_it_is_sane(strategy, random_seed):
     rng = np.random.default_rng(random_seed)

@@ -52,7 +52,7 @@ def round_trips_to(bus: SimulatedBus, ends: Ends, most: int) -> int:
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-@pytest.mark.parametrize(("loss", "most"), [(0.0, 10), (0.3, 100), (0.6, 500)])
+@pytest.mark.parametrize(("loss", "most"), [(0.0, 10), (0.3, 100), pytest.param(0.6, 500, marks=pytest.mark.long)])
 def test_a_lost_message_costs_round_trips_and_no_heartbeat(strategy: str, loss: float, most: int):
     """Waits end at 20 ms, ten round trips: a heartbeat of 20 s would be 10,000.
 

@@ -230,7 +230,7 @@ def test_with_many_losses_areas_are_good_only_while_they_receive_each_other():
     shown = []
     files = with_links(area_files_of(scenario, strategy="information"), LinkFaults(loss=0.8))
     bus = SimulatedBus(files, make_telemetry(scenario).by_area, on_state=lambda at, state: shown.append((at, state)))
-    bus.run(60.0)
+    bus.run(30.0)
     found = {state.quality for _, state in shown}
     assert {"good", "degraded"} <= found
     for _, state in shown:
@@ -313,7 +313,7 @@ DISTURBANCES = (_cut, _kill, _pause, _silence_plant, _begin_scan_late, _lack_rea
 REMARKS = ("no reading from ",)  # they do not take good away
 
 
-@pytest.mark.parametrize("strategy", ["information", "angle-offset", "admm"])
+@pytest.mark.parametrize("strategy", ["information", "angle-offset", pytest.param("admm", marks=pytest.mark.long)])
 @pytest.mark.parametrize("disturb", DISTURBANCES, ids=lambda disturb: disturb.__name__.strip("_"))
 def test_no_state_is_less_than_good_without_a_reason_nor_good_with_one(strategy: str, disturb):
     scenario, shown = load_scenario("ieee33"), []

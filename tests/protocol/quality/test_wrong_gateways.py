@@ -15,7 +15,7 @@ from tests.support.simulated_bus import SimulatedBus, area_files_of
 AREAS = ("area1", "area2", "area3")
 
 
-@pytest.mark.random_cases(few=3, many=45)
+@pytest.mark.random_cases(few=1, long=3, many=45)
 @pytest.mark.parametrize("what", ["sign", "x 0.001"])
 def test_a_gateway_with_a_wrong_sign_or_unit_is_named_within_ten_scans_under_any_load(what: str, random_seed: int):
     scan, another, _ = run_wrong(SCENARIOS[random_seed % len(SCENARIOS)], what, random_seed + 1)
@@ -23,7 +23,7 @@ def test_a_gateway_with_a_wrong_sign_or_unit_is_named_within_ten_scans_under_any
     assert not another
 
 
-@pytest.mark.random_cases(few=3, many=9)
+@pytest.mark.random_cases(few=1, long=3, many=9)
 def test_a_sound_gateway_is_not_named_under_any_load(random_seed: int):
     counts = run_sound(SCENARIOS[random_seed % len(SCENARIOS)], 6, random_seed + 1)
     assert counts["false alarms"] == 0

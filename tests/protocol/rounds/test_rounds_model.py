@@ -29,20 +29,20 @@ CAUGHT_BY_HISTORIES = (
 MOST_HISTORIES = 60
 
 
+@pytest.mark.n_cases(few=50, long=200, many=20_000)
 @pytest.mark.parametrize("tree", TREES)
-def test_in_every_schedule_within_bounds_all_come_to_the_same_end(tree: str, request: pytest.FixtureRequest):
+def test_in_every_schedule_within_bounds_all_come_to_the_same_end(tree: str, n_cases: int):
     """Two messages lost or delayed; or a crash, a cut, two revisions at once, a scan at any moment, and one message."""
-    most = 20_000 if request.config.getoption("--thorough") else 200
     schedules = list(all_schedules(tree, most_deviations=2, with_event=1))
     events = events_of(tree)
-    for schedule in itertools.islice(schedules, 0, None, max(1, -(-len(schedules) // most))):
+    for schedule in itertools.islice(schedules, 0, None, max(1, -(-len(schedules) // n_cases))):
         try:
             live_through(schedule, events)
         except AssertionError as error:
             raise AssertionError(f"{schedule}: {error}") from error
 
 
-@pytest.mark.random_cases(few=60, many=2000)
+@pytest.mark.random_cases(few=20, long=60, many=2000)
 def test_after_any_history_of_faults_all_are_good_on_the_last_scan(random_seed: int):
     toy_history.live_through(random_seed)
 

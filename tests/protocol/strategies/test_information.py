@@ -50,7 +50,7 @@ def test_a_tree_of_areas_without_voltmeters_in_some_reaches_it_too(loss):
 
 
 @pytest.mark.usefixtures("back_end_in_turn")
-@pytest.mark.random_cases(few=18, many=200)
+@pytest.mark.random_cases(few=6, long=18, many=200)
 def test_random_feeders_reach_it_whatever_the_bus_does(random_seed):
     check_random_feeder(random_seed)
 
@@ -127,7 +127,7 @@ def test_areas_without_meters_of_their_own_reach_it():
 
 
 @pytest.mark.usefixtures("back_end_in_turn")
-@pytest.mark.random_cases(few=24, many=200)
+@pytest.mark.random_cases(few=6, long=24, many=200)
 def test_gross_errors_are_removed_as_by_the_centralised_procedure(random_seed):
     check_gross_errors(random_seed)
 

@@ -154,18 +154,17 @@ def assert_are_the_centres(compared: Compared) -> None:
     assert np.quantile(compared.gaps, MOST) < MOST_OF_ALL
 
 
-@pytest.fixture
-def thorough(request: pytest.FixtureRequest) -> bool:
-    """Shares of all x_k are of one collection, not of many small ones."""
-    return bool(request.config.getoption("--thorough"))
+# Shares of all x_k are of one collection, not of many small ones: ``n_cases``.
 
 
+@pytest.mark.long
 def test_on_the_examples_of_any_grid():
     assert_are_the_centres(compare_all(draw_examples()))
 
 
-def test_on_random_grids(thorough):
-    assert_are_the_centres(compare_all(itertools.islice(draw_grids(), 300 if thorough else 12)))
+@pytest.mark.n_cases(few=6, long=12, many=300)
+def test_on_random_grids(n_cases):
+    assert_are_the_centres(compare_all(itertools.islice(draw_grids(), n_cases)))
 
 
 @pytest.mark.usefixtures("each_back_end")
@@ -184,20 +183,22 @@ def test_meters_that_cannot_be_spared_behind_a_busbar_are_the_centres():
     assert {meter for state in bus.states.values() for meter in state.critical} == critical
 
 
-def test_on_random_feeders_sound_and_with_gross_errors(thorough):
-    assert_are_the_centres(compare_all(itertools.islice(draw_feeders(), 0, None, 1 if thorough else 40)))
+@pytest.mark.n_cases(few=4, long=10, many=400)
+def test_on_random_feeders_sound_and_with_gross_errors(n_cases):
+    assert_are_the_centres(compare_all(itertools.islice(draw_feeders(), 0, None, 400 // n_cases)))
 
 
-def test_where_rings_pass_through_an_area_and_its_parent_and_taps_do_not_cancel_around_them(thorough):
+@pytest.mark.n_cases(few=2, long=2, many=60)
+def test_where_rings_pass_through_an_area_and_its_parent_and_taps_do_not_cancel_around_them(n_cases):
     """In draws 7 and 16 areas by themselves would begin elsewhere, by 3e-4 and 7e-4 p.u."""
     compared = Compared()
-    for k in range(60) if thorough else (7, 16):
+    for k in (7, 16) if n_cases == 2 else range(n_cases):
         if feeder := make_ring_feeder(k, 2 + k % 5, 1 + k % 3, decades=1.0 + 2.0 * (k % 2)):
             compared.compare(feeder, f"ring {k}")
     assert_are_the_centres(compared)
 
 
-@pytest.mark.random_cases(few=2, many=50)
+@pytest.mark.random_cases(few=1, long=2, many=50)
 @pytest.mark.parametrize("full", [True, False])
 def test_near_the_limit_of_loading_undamped_steps_end_in_areas_and_centre_alike(random_seed, full):
     """At 90 to 99 % of the largest load: no step control is needed, and none is there."""

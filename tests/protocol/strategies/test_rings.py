@@ -63,7 +63,7 @@ def draw_ring(random_seed: int, **changes) -> Feeder:
     return feeder or pytest.skip("no ring in this draw")
 
 
-@pytest.mark.random_cases(few=3, many=90)
+@pytest.mark.random_cases(few=3, long=3, many=90)
 def test_any_ring_between_an_area_and_its_parent_reaches_it(random_seed):
     feeder = draw_ring(random_seed, decades=float(random_seed % 4))
     if random_seed % 2:
@@ -78,7 +78,7 @@ def test_any_ring_between_an_area_and_its_parent_reaches_it(random_seed):
     assert_same_decisions(bus, report)
 
 
-@pytest.mark.random_cases(few=2, many=60)
+@pytest.mark.random_cases(few=2, long=2, many=60)
 def test_buses_that_nothing_determines_are_named_as_in_the_centre_also_around_a_ring(random_seed):
     assert_same_unobservable(random_seed)
 

@@ -12,7 +12,7 @@ from agents.protocol.events import Action, Conclude, Event
 from agents.runtime.log.changes import ChangeLog
 from tests.support.ticking import SCAN_S, Ticking, by_clock
 
-SCANS = 30
+SCANS = 10
 
 
 class Logs:

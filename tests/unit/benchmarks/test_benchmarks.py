@@ -19,7 +19,7 @@ from benchmarks.methods.compared import OURS, OURS_WITH_RESIDUALS, PEERS
 from benchmarks.methods.physical import describe_lines
 from dsse_core.errors import InvalidInputError
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("benchmarks")]
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("benchmarks")]
 
 ROOT = Path(__file__).parents[3]
 OTHER_MINIMUM = "power-grid-model iterative_linear"

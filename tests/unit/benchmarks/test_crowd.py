@@ -8,7 +8,7 @@ from agents.messages.packing import decode, encode
 from benchmarks.crowd.command import MOST_MEMORY_MIB, find_failures
 from benchmarks.crowd.stranger import NAMES, readings_of, state_of, tokens_of
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("k", range(len(NAMES)))

@@ -14,7 +14,7 @@ from benchmarks.exchange.command import QUICK, predict, summarise, write_line
 from benchmarks.exchange.watch import WatchedBus
 from benchmarks.exchange.worlds import draw_feeder, draw_row
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[3]
 EXACT = "information"

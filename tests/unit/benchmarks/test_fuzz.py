@@ -8,7 +8,7 @@ import pytest
 from benchmarks.fuzz.command import FINDING, make_input, try_input
 from benchmarks.fuzz.targets import TARGETS
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -19,7 +19,7 @@ def test_the_same_number_makes_the_same_input(name):
     assert make_input(name, 2, 0) != samples[0]
 
 
-@pytest.mark.random_cases(few=3, many=100)
+@pytest.mark.random_cases(few=1, long=3, many=100)
 @pytest.mark.parametrize("name", TARGETS)
 def test_spoilt_input_is_accepted_or_rejected(name, random_seed, tmp_path):
     for number in range(10 if name == "messages" else 1):

@@ -15,7 +15,7 @@ from coordinator.lab.evaluation.evaluation import choose_scenario
 from coordinator.show.web.moment import Moments
 from coordinator.watch.observe.grid_tables import GridTables
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow
 
 
 def event(name: str, pid: int, ts: float, dur: float, tdur: float, **args: Any) -> dict[str, Any]:

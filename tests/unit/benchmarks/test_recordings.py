@@ -8,7 +8,7 @@ from benchmarks import live_recording
 from benchmarks.long_recording import find_failures, record_long
 from benchmarks.recorder_kills import RecorderRun, count_holes, find_due
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("benchmarks")]
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("benchmarks")]
 
 
 def test_a_recording_of_many_scans_lacks_nothing(tmp_path: Path) -> None:

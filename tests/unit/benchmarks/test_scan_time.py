@@ -7,7 +7,7 @@ from click.testing import CliRunner
 from benchmarks import scan_time
 from benchmarks.exchange.worlds import draw_row
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow
 
 
 def test_every_scan_takes_processor_time():

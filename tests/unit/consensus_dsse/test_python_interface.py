@@ -96,7 +96,7 @@ def reachable(shown: object, seen: dict[int, object]) -> Iterator[object]:
         yield from reachable(part, seen)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [33, 600])
 def test_nothing_that_a_result_leads_to_fills_the_screen(n: int, tmp_path: Path) -> None:
     scenario: str | Path = "ieee33"

@@ -22,7 +22,7 @@ from scenarios.files.network_file import load_case
 Kind = MeasurementKind
 
 
-@pytest.fixture(params=["sparse", pytest.param("sparse, compiled", marks=pytest.mark.long), "radial"])
+@pytest.fixture(params=["sparse", pytest.param("sparse, compiled", marks=pytest.mark.slow), "radial"])
 def backend(request, monkeypatch: pytest.MonkeyPatch) -> str:
     """Every test with this fixture runs on both back ends of the estimate, on sparse matrices also compiled."""
     if request.param != "sparse":

@@ -235,7 +235,7 @@ def test_rows_that_lack_all_current_magnitudes_are_estimated_as_without_these_me
     assert_rows_are_single_estimates(plan, estimate_batch(plan, values, sigmas), values, sigmas)
 
 
-@pytest.mark.random_cases(few=15, many=500)
+@pytest.mark.random_cases(few=5, long=15, many=500)
 def test_batches_of_any_grid_are_the_single_estimates(random_seed):
     rng = np.random.default_rng([random_seed, 77])
     backend = "radial" if random_seed % 3 else "sparse"
@@ -265,7 +265,7 @@ def test_batches_of_any_grid_are_the_single_estimates(random_seed):
 
 
 @pytest.mark.parametrize("threads", [2, 3])
-@pytest.mark.random_cases(few=8, many=300)
+@pytest.mark.random_cases(few=3, long=8, many=300)
 def test_feeders_on_threads_give_the_estimate_of_one_thread(random_seed, threads):
     pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
     rng = np.random.default_rng([random_seed, 78])

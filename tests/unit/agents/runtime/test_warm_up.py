@@ -13,7 +13,7 @@ from dsse_core import compiling
 from dsse_core.linear.radial import RadialSolver
 
 
-@pytest.mark.long  # it compiles
+@pytest.mark.slow  # it compiles
 def test_warming_up_goes_through_every_pass_of_the_tree(monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("numba")
     from dsse_core.radial import boundary as radial_boundary
@@ -66,7 +66,7 @@ print("compiled", len(compiled), "failed", len(found.failures))
 """
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_what_is_compiled_ahead_serves_batches_and_threads_too():
     pytest.importorskip("numba")
     done = subprocess.run([sys.executable, "-c", BATCHES], capture_output=True, text=True, timeout=1800, check=True)
@@ -96,7 +96,7 @@ print("compiled", len(compiled))
 """
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_what_is_compiled_ahead_serves_sparse_estimates_too():
     pytest.importorskip("numba")
     done = subprocess.run([sys.executable, "-c", SPARSE], capture_output=True, text=True, timeout=1800, check=True)

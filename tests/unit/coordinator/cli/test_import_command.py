@@ -137,7 +137,7 @@ def test_estimate_and_check_work_on_real_readings_and_print_no_truth(dsse, real:
     assert dsse("estimate", "ieee33")[1].splitlines()[0].split().count("true") == 2
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_run_on_real_readings_has_gaps_but_no_errors(dsse, tmp_path: Path, real: Path) -> None:
     code, out, _ = dsse("simulate", real, "--out", tmp_path / "run", "--quiet")
     assert code == 0

@@ -12,7 +12,7 @@ pandapower = pytest.importorskip("pandapower")
 Kind = MeasurementKind
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*SettingWithCopy.*", "ignore:\\nA value is trying to be set on a copy"),
-    pytest.mark.long,
+    pytest.mark.slow,
 ]
 
 

@@ -164,8 +164,8 @@ def outcome(network, measurements, backend: str):
     return removed, report.result.iterations, memory.from_flat_start, memory.spent + memory.steps, report.detected
 
 
-@pytest.mark.long
-@pytest.mark.random_cases(few=25, many=1000)
+@pytest.mark.slow
+@pytest.mark.random_cases(few=10, long=25, many=1000)
 def test_the_compiled_iteration_decides_the_same(random_seed):
     pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
     grid = draw_grid(random_seed)

@@ -123,7 +123,7 @@ def test_residual_variances_survive_impedances_near_zero_and_sigmas_over_four_de
     np.testing.assert_allclose(result.residual_variance / sigmas**2, 1 - (Q**2).sum(axis=1), atol=1e-10)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_objective_is_chi_square_distributed_with_the_degrees_of_freedom(
     rich, meters_of, zero_injections, read, estimate
 ):
@@ -366,7 +366,7 @@ def test_wrong_measurements_are_all_reported_at_once(rich, estimate):
     assert len(caught.value.problems) == 12
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", [(Kind.VM, *INJECTIONS), (Kind.VM, *FLOWS)])
 def test_a_feeder_of_5000_buses_is_estimated(chain, meters_of, read, kinds, estimate):
     network = chain(5000)

@@ -90,9 +90,9 @@ def assert_same_information(case: Case, neighbour: Neighbour) -> None:
     np.testing.assert_allclose(other_mean - y, mean - y, rtol=0, atol=CLOSE * max(abs(mean - y).max(), 1.0))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @each_back_end
-@pytest.mark.random_cases(few=12, many=200)
+@pytest.mark.random_cases(few=4, long=12, many=200)
 def test_random_feeders_agree(random_seed, backend):
     rng = np.random.default_rng(random_seed)
     size = {"n_bus": int(rng.integers(3, 60)), "n_area": int(rng.integers(2, 8))}
@@ -101,9 +101,9 @@ def test_random_feeders_agree(random_seed, backend):
         assert_same(case)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @each_back_end
-@pytest.mark.random_cases(few=12, many=200)
+@pytest.mark.random_cases(few=4, long=12, many=200)
 def test_grids_with_transformers_shunts_angle_and_current_meters_agree(random_seed, backend):
     rng = np.random.default_rng([1, random_seed])
     shares = MeterShares(angle=float(rng.choice([0, 0.1])), current=float(rng.choice([0, 0.3])))
@@ -114,9 +114,9 @@ def test_grids_with_transformers_shunts_angle_and_current_meters_agree(random_se
         assert_same(case)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @needs_numba
-@pytest.mark.random_cases(few=12, many=200)
+@pytest.mark.random_cases(few=4, long=12, many=200)
 def test_areas_with_a_prior_agree(random_seed):
     """Every voltage counts as measured, beside its own meter or alone, as while a neighbour is silent.
 
@@ -222,7 +222,7 @@ def test_a_model_read_anew_has_the_prior_of_now_and_forgets_the_former_one():
     np.testing.assert_array_equal(with_prior.with_readings(readings).linear.step(case.x, case.received), plain)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @each_back_end
 @pytest.mark.parametrize("busbar", [False, True])
 def test_fifteen_areas_at_one_bus_agree(busbar, backend):

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 
 pytest.importorskip("numba")
 compiled_factor = pytest.importorskip("dsse_core.matrices.compiled_factor", exc_type=ImportError)
-pytestmark = pytest.mark.long  # it compiles
+pytestmark = pytest.mark.slow  # it compiles
 
 
 def make_matrix(seed: int, n: int = 60, density: float = 0.05) -> sp.csc_array:

@@ -15,7 +15,7 @@ from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
 Kind = MeasurementKind
 
 
-@pytest.fixture(params=[pytest.param("compiled", marks=pytest.mark.long), "superlu"])
+@pytest.fixture(params=[pytest.param("compiled", marks=pytest.mark.slow), "superlu"])
 def numerics(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Both by which a tableau in a given order is eliminated, for tableaus of any size."""
     if request.param == "compiled":
@@ -116,7 +116,7 @@ def test_a_factor_that_is_too_full_with_full_pivoting_gives_way_to_that_of_the_s
     np.testing.assert_allclose(found / np.maximum(sigma, 1e-9) ** 2, expected / np.maximum(sigma, 1e-9) ** 2, atol=1e-7)
 
 
-@pytest.mark.long  # it compiles
+@pytest.mark.slow  # it compiles
 @pytest.mark.parametrize("seed", range(4))
 def test_no_variance_of_a_network_with_long_loops_is_unknown_and_all_are_those_of_solutions(
     monkeypatch: pytest.MonkeyPatch, seed: int
@@ -137,7 +137,7 @@ def test_no_variance_of_a_network_with_long_loops_is_unknown_and_all_are_those_o
     np.testing.assert_allclose(*ratios, rtol=0, atol=1e-10)
 
 
-@pytest.mark.long  # it compiles
+@pytest.mark.slow  # it compiles
 def test_what_compiled_elimination_is_not_sure_of_is_solved_for(monkeypatch: pytest.MonkeyPatch) -> None:
     compiled_factor = pytest.importorskip("dsse_core.matrices.compiled_factor", exc_type=ImportError)
     monkeypatch.setattr(augmented, "FEWEST_COMPILED", 0)

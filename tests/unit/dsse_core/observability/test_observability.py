@@ -158,7 +158,7 @@ def test_a_feeder_of_5000_buses_is_checked_sparsely(chain, by):
     assert peak < 100e6  # one dense 10,000 x 10,000 matrix takes 800 MB
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_gap_in_a_feeder_of_5000_buses_is_named_with_its_cure(chain):
     network = chain(5000)
     meters = [Meter(Kind.VM, 1)]
@@ -191,8 +191,8 @@ def measured_grids(draw):
     return network, [meter for k in chosen for meter in pool[k]]
 
 
-@pytest.mark.long
-@settings(max_examples=150, deadline=None)
+@pytest.mark.slow
+@settings(max_examples=50, deadline=None)
 @given(measured_grids())
 def test_the_verdict_is_the_rank_and_every_named_meter_really_cures(grid):
     network, meters = grid
@@ -211,8 +211,8 @@ def test_the_verdict_is_the_rank_and_every_named_meter_really_cures(grid):
         check_observable(network, [*meters, *meters_named(cure)])
 
 
-@pytest.mark.long
-@settings(max_examples=150, deadline=None)
+@pytest.mark.slow
+@settings(max_examples=50, deadline=None)
 @given(measured_grids())
 def test_a_meter_is_indispensable_when_the_others_do_not_determine_the_state(grid):
     network, chosen = grid
@@ -232,7 +232,7 @@ def test_a_meter_is_indispensable_when_the_others_do_not_determine_the_state(gri
     assert find_indispensable(network, meters, 1) == needed
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("short", [(), (5, 20)])
 def test_indispensable_meters_of_a_feeder_of_5000_buses_are_distinguished_from_hardly_checked_ones(
     chain, short, backend

@@ -251,8 +251,8 @@ def test_charging_shunts_taps_and_sub_trees_of_every_shape_count_in_sweeps():
         assert_same(network, slack=slack)
 
 
-@pytest.mark.long
-@pytest.mark.random_cases(few=30, many=500)
+@pytest.mark.slow
+@pytest.mark.random_cases(few=10, long=30, many=500)
 def test_sweeps_agree_with_newton_on_any_radial_grid(random_seed):
     rng = np.random.default_rng([random_seed, 32])
     grid = make_grid(

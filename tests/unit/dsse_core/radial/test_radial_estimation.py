@@ -84,7 +84,7 @@ def test_the_tree_agrees_with_the_sparse_estimate_on_the_cases(
     assert_same(network, noisy(network, meters, np.random.default_rng(1)))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("n_bus", [300, 3000])
 def test_the_tree_agrees_with_the_sparse_estimate_on_generated_feeders(n_bus):
     rng = np.random.default_rng(n_bus)
@@ -153,8 +153,8 @@ def test_other_threads_go_on_while_the_tree_computes():
         other.join()
 
 
-@pytest.mark.long
-@pytest.mark.random_cases(few=40, many=1000)
+@pytest.mark.slow
+@pytest.mark.random_cases(few=10, long=40, many=1000)
 def test_the_tree_agrees_with_the_sparse_estimate_on_any_radial_grid(random_seed):
     rng = np.random.default_rng([random_seed, 31])
     decades = float(rng.choice([0, 1, 2]))
@@ -247,7 +247,7 @@ def test_without_numba_the_reason_is_given(monkeypatch, case, meters_of):
     assert "numba is not installed" in str(build_radial_plan(case("ieee33"), meters_of(case("ieee33"), *Kind)))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings", [{"NUMBA_CACHE_DIR": "/proc/nowhere"}, {"NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator"}]
 )

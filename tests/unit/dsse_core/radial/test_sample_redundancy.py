@@ -20,7 +20,7 @@ SCARCE = (  # one meter in thirty to spare; a few more; branches metered and mos
 )
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("shares", SCARCE)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_sampled_redundancy_is_the_exact_one_to_a_factor_and_of_what_cannot_be_spared_the_square_of_round_off(

@@ -19,7 +19,7 @@ from scenarios.importers import import_grid
 pp: Any = pytest.importorskip("pandapower")
 networks: Any = pytest.importorskip("pandapower.networks")
 
-pytestmark = [pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"), pytest.mark.long]
+pytestmark = [pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"), pytest.mark.slow]
 ENDS = {"line": ("from", "to"), "trafo": ("hv", "lv")}
 QUANTITY = {"p": ("p_{}_kw", 1e3, "mw"), "q": ("q_{}_kvar", 1e3, "mvar"), "i": ("i_{}_a", 1e3, "ka")}
 
@@ -90,9 +90,10 @@ def random_net(seed: int) -> Any:
 NETS: dict[str, Callable[[], Any]] = {"case33bw": networks.case33bw, "CIGRE MV": cigre_with_taps_and_shunts}
 NETS["everything"] = net_of_everything
 NETS |= {f"random {seed}": lambda seed=seed: random_net(seed) for seed in range(20)}
+FEW = ("case33bw", "CIGRE MV", "everything", "random 0", "random 1")
 
 
-@pytest.mark.parametrize("name", NETS)
+@pytest.mark.parametrize("name", [n if n in FEW else pytest.param(n, marks=pytest.mark.long) for n in NETS])
 def test_what_flows_is_what_pandapower_finds(tmp_path: Path, name: str) -> None:
     net = NETS[name]()
     for element in ENDS:

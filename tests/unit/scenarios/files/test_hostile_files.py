@@ -152,7 +152,7 @@ def test_a_text_that_pandas_reads_and_python_does_not_names_no_module(tmp_path: 
     assert "evil_module" not in sys.modules
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_pandapower_is_handed_what_was_written_anew_and_not_the_text_of_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -189,7 +189,7 @@ def test_power_grid_model_is_handed_what_was_written_anew(tmp_path: Path, monkey
         import_grid(tmp_path / "grid.json")
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_name_that_only_begins_like_json_is_a_name(tmp_path: Path):
     networks = pytest.importorskip("pandapower.networks")
     net = networks.case4gs()
@@ -198,7 +198,7 @@ def test_a_name_that_only_begins_like_json_is_a_name(tmp_path: Path):
     assert [bus.name for bus in import_grid(tmp_path / "net.json").network.buses] == list(net.bus["name"])
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("index", [[], "a", 1.5, -1, 10**12])
 def test_an_index_that_is_none_or_would_fill_the_memory_is_named(tmp_path: Path, index):
     networks = pytest.importorskip("pandapower.networks")
@@ -212,7 +212,7 @@ def test_an_index_that_is_none_or_would_fill_the_memory_is_named(tmp_path: Path,
         import_grid(path)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_module_would_be_imported_by_pandapower_itself(evil: Path):
     """What the allow-list is for; if this fails, pandapower has become careful itself."""
     pandapower = pytest.importorskip("pandapower")
@@ -256,7 +256,7 @@ def test_wrong_names_do_not_each_list_all_right_ones():
     assert all(len(problem) < 300 for problem in caught.value.problems)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_file_of_unknown_keys_is_answered_with_the_first_and_the_number_of_the_others(tmp_path: Path):
     """It took 54 MB of text, and a search for what each may have been."""
     path = tmp_path / "scenario.toml"

@@ -42,7 +42,7 @@ def test_a_matpower_case_is_rejected_with_the_bus_the_value_and_the_range(tmp_pa
     assert problem == f"bus 2: active load is {float(load):g} MW; {RANGE}"
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_pandapower_network_is_rejected_alike(tmp_path: Path) -> None:
     pandapower: Any = pytest.importorskip("pandapower")
     net = pandapower.create_empty_network()

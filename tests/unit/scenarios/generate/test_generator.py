@@ -126,7 +126,7 @@ def test_more_areas_than_branches_are_rejected_before_anything_is_written(tmp_pa
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(2, 150), st.integers(0, 10**6), st.sampled_from(["standard", "sparse"]), st.data())
 def test_a_generated_scenario_is_sound_whatever_the_number_of_areas(

@@ -87,7 +87,7 @@ def changed(text: str, old: str, new: str) -> str:
     return text.replace(old, new, 1)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_power_flow_meets_matpowers_own_equations(tmp_path: Path) -> None:
     makeybus = pytest.importorskip("pandapower.pypower.makeYbus")
     network = read(tmp_path, MESHED).network
@@ -219,7 +219,7 @@ def test_a_case_reads_the_same_through_another_reader(tmp_path: Path) -> None:
     assert [branch.r for branch in network.branches] == pytest.approx(list(case.branch.BR_R))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["case1951rte", "case2848rte"])
 def test_the_power_flow_of_a_meshed_country_ends_at_the_voltages_of_its_file(case: str) -> None:
     """Taps of its transformers multiply along loops, and it carries far more than a feeder."""
@@ -371,7 +371,7 @@ ENDLESS = {
 }
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ENDLESS.values(), ids=ENDLESS)
 def test_no_case_keeps_the_reader_for_ever(text: str) -> None:
     """Work that grows with the square of any of these takes hours."""

@@ -18,7 +18,7 @@ pp: Any = pytest.importorskip("pandapower")
 pgm: Any = pytest.importorskip("power_grid_model")
 utils: Any = pytest.importorskip("power_grid_model.utils")
 
-pytestmark = [pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"), pytest.mark.long]
+pytestmark = [pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"), pytest.mark.slow]
 
 LOAD, SOURCE = 4, 2
 CONSTANT_POWER, CONSTANT_IMPEDANCE, CONSTANT_CURRENT = 0, 1, 2

@@ -24,7 +24,7 @@ pp: Any = pytest.importorskip("pandapower")
 networks: Any = pytest.importorskip("pandapower.networks")
 estimation: Any = pytest.importorskip("pandapower.estimation")
 
-pytestmark = [pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"), pytest.mark.long]
+pytestmark = [pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"), pytest.mark.slow]
 
 BUNDLED: dict[str, Callable[[], Any]] = {
     "case33bw, radial": networks.case33bw,

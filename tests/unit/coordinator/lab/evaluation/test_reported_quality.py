@@ -97,7 +97,7 @@ def test_a_quality_has_its_reason_first_and_a_good_state_has_none():
         assert quality == GOOD or notes[0] in reasons
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("is_gone", [False, True], ids=["there", "gone"])
 def test_run_report_and_watcher_say_the_same_of_every_combination_of_findings(is_gone: bool):
     for found in SETS:

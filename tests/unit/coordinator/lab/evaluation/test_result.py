@@ -188,7 +188,7 @@ def test_a_gap_of_angles_is_wrapped():
     assert largest_gap(one, other).va_deg == pytest.approx(np.degrees(0.02))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("missing", [None, "area3"])
 def test_plots_are_drawn_also_where_an_area_is_missing(tmp_path: Path, missing: str | None):
     assert write_report(a_result(tmp_path, missing=missing), ["png"], ["run", "ieee33"]).unwritten is None
@@ -212,7 +212,7 @@ def a_result_with_relative_angles_only(folder: Path) -> RunResult:
     return replace(result, history=tuple(replace(sample, referenced=False) for sample in result.history))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make_result", "words", "times"),
     [

@@ -77,7 +77,7 @@ def test_a_loss_of_all_messages_leaves_every_area_alone(tmp_path: Path):
     assert verdict.lost == verdict.messages > 0
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_command_ends_with_the_exit_codes_of_dsse_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert run_command(["simulate", "ieee33", "--out", str(tmp_path / "one"), "--quiet"]) == 0
     assert "virtual time" in capsys.readouterr().out

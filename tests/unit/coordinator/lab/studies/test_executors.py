@@ -74,7 +74,7 @@ def count_lines(folder: Path) -> int:
     return path.read_bytes().count(b"\n") if path.exists() else 0
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_sweep_goes_on_after_kill_9_and_the_death_of_a_worker_with_the_rows_of_the_local_pool(
     tmp_path: Path, dask: Dask, request: pytest.FixtureRequest
 ):

@@ -48,7 +48,7 @@ def rows_in(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_every_value_strategy_and_seed_is_run_once_and_has_its_row(tmp_path: Path, runs: list):
     assert sweep(tmp_path / "s", "--strategies", "information,angle-offset") == 0
     expected = {(v, s, n) for v in (0.0, 0.3) for s in ("information", "angle-offset") for n in (1, 2)}
@@ -61,7 +61,7 @@ def test_every_value_strategy_and_seed_is_run_once_and_has_its_row(tmp_path: Pat
     assert (tmp_path / "s" / "sweep.png").stat().st_size > 10_000
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_many_processes_give_the_rows_that_one_gives(tmp_path: Path):
     assert sweep(tmp_path / "one") == 0
     assert sweep(tmp_path / "two", jobs=2) == 0
@@ -72,7 +72,7 @@ def test_many_processes_give_the_rows_that_one_gives(tmp_path: Path):
     assert sorted(rows_in(tmp_path / "one"), key=key) == sorted(rows_in(tmp_path / "two"), key=key)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_runs_that_the_table_has_are_not_run_again(tmp_path: Path, runs: list):
     sweep(tmp_path / "s")
     first = rows_in(tmp_path / "s")
@@ -85,7 +85,7 @@ def test_runs_that_the_table_has_are_not_run_again(tmp_path: Path, runs: list):
     assert runs == []
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_row_that_was_cut_off_is_run_again_and_reported(
     tmp_path: Path, runs: list, capsys: pytest.CaptureFixture[str]
 ):
@@ -100,7 +100,7 @@ def test_a_row_that_was_cut_off_is_run_again_and_reported(
     assert "half written" in capsys.readouterr().err
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_an_interrupted_sweep_keeps_what_is_done_and_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
@@ -150,7 +150,7 @@ def test_a_signal_while_workers_are_started_shows_no_traceback_of_theirs(
     assert capfd.readouterr().err == ""
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("other", "message"),
     [

@@ -16,7 +16,7 @@ from dsse_core.grid.partition import Partition
 from scenarios.generate.generated_files import write_generated
 from scenarios.scenario import load_scenario
 
-pytestmark = pytest.mark.long  # drawing takes seconds
+pytestmark = pytest.mark.slow  # drawing takes seconds
 
 
 def numbers_in(figure: Figure) -> list[Annotation]:

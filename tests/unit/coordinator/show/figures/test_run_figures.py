@@ -30,7 +30,7 @@ from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from scenarios.scenario import load_scenario
 from tests.support.made_results import AT_S, GAPS, SCAN_AT_S, make_result
 
-pytestmark = pytest.mark.long  # drawing takes seconds
+pytestmark = pytest.mark.slow  # drawing takes seconds
 
 
 @pytest.fixture(scope="module")

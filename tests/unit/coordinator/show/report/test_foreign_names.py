@@ -43,7 +43,7 @@ def named(name: str) -> Scenario:
     return replace(scenario, name=name, description=name, network=partition.network, partition=partition)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_name_is_no_formula_in_a_picture(name: str, result: RunResult, tmp_path: Path):
     assert (

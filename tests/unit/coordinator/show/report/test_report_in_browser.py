@@ -24,7 +24,7 @@ QUIET += ["--disable-component-update", "--disable-sync", "--disable-default-app
 ALONE = "--host-resolver-rules=MAP * ~NOTFOUND"  # the test itself asks nobody for anything either
 DEADLINE_S = 600
 
-pytestmark = [pytest.mark.long, pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")]
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from scenarios.scenario import load_scenario
 from tests.support.made_results import make_result
 from tests.support.read_page import ReadPage, read_page
 
-pytestmark = pytest.mark.long  # drawing takes seconds
+pytestmark = pytest.mark.slow  # drawing takes seconds
 HOSTILE = "<script>alert(1)</script>&\"'><img src=http://evil.example/x>"
 CHANGES = {"faults.loss": 0.3, "areas": {"count": 4}}
 

@@ -13,7 +13,7 @@ from coordinator.show.figures.sweep_figure import draw_sweep
 from tests.support.read_page import read_page
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_comparison_leaves_a_report_with_its_table_and_a_line_for_each_strategy(dsse, tmp_path: Path) -> None:
     out = tmp_path / "out"
     arguments = ["compare", "industrial13", "--strategies", "information,admm", "--set", "faults.loss=0.1"]
@@ -30,7 +30,7 @@ def test_a_comparison_leaves_a_report_with_its_table_and_a_line_for_each_strateg
     assert "strategy information" not in page.text  # it is no setting of the comparison
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_sweep_leaves_a_report_with_medians_and_all_runs(dsse, tmp_path: Path) -> None:
     arguments = ["sweep", "industrial13", "--vary", "faults.loss=0,0.3", "--seeds", "3", "--strategies", "information"]
     assert dsse(*arguments, "--jobs", "1", "--out", tmp_path / "s", "--quiet", "--format", "pdf")[0] == 0

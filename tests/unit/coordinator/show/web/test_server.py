@@ -60,7 +60,7 @@ def is_closed(link: socket.socket) -> bool:
         return True
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_twenty_browsers_see_the_same_and_one_that_never_reads_is_dropped_unnoticed(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(readers, "PATIENCE_S", 3.0)
     watcher = Watcher("run")
@@ -250,7 +250,7 @@ def test_a_place_that_is_taken_is_one_error_that_names_it():
             server.serve(played(), place, (), lambda url: None)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_hours_of_updates_leave_the_memory_of_the_server_as_it_was():
     watcher = Watcher("run")
     moments = Moments(None)

@@ -14,7 +14,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 
 from coordinator.field.gateway.sources.modbus import ModbusSettings, ModbusSource
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow
 SILENT_S = 2.0  # after which a device has not answered; one that does, in this process, is faster on any machine
 
 

@@ -14,7 +14,7 @@ from coordinator.field.gateway.sources import mqtt
 from coordinator.field.gateway.sources.mqtt import MqttSettings, MqttSource, _FairQueue
 from tests.support.mqtt_broker import broker
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow
 
 
 def make_source(port: int, *addresses: str, **options: object) -> MqttSource:

@@ -14,7 +14,7 @@ from asyncua.server.monitored_item_service import MonitoredItemService
 
 from coordinator.field.gateway.sources.opcua import OpcUaSettings, OpcUaSource, _Handler
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow
 
 
 @contextlib.asynccontextmanager
