@@ -38,6 +38,7 @@ class NextFile:
         self._next_look = 0.0
         self._seen: Look = None  # at the last look
         self._read: Look = None  # of the file that was read last
+        self._reading: threading.Thread | None = None
         self._found: tuple[Look, Configuration | None] = (None, None)  # the same, and its configuration
 
     def read_at_once(self) -> Configuration | None:
@@ -58,11 +59,14 @@ class NextFile:
         before, self._seen = self._seen, self._look()
         if self._seen == self._read or self._seen != before:
             return
+        if self._reading and self._reading.is_alive():
+            return  # files are read one after the other, so that the newest is offered last
         self._read = self._seen
         if self._read is None:
             self._inbox.put("next file", Offered(None))
         else:
-            threading.Thread(target=self._offer, name="next file", daemon=True).start()
+            self._reading = threading.Thread(target=self._offer, name="next file", daemon=True)
+            self._reading.start()
 
     def take_place(self, configuration: Configuration) -> None:
         """Move the file to the place of the one in use; the area rests on its ``configuration`` now.

@@ -125,6 +125,10 @@ class RenewableBus:
             self._given_up.set()
             self._reopening.join()  # when the process ends, no thread may be inside Zenoh
             self._reopening = None
+        self._drop()
+
+    def _drop(self) -> None:
+        """Close the bus in use, if there is one; its declarations have no entities then."""
         with self._lock:
             bus, self.bus = self.bus, None
             for declared in self._declared:
@@ -136,20 +140,28 @@ class RenewableBus:
         began, logged = time.monotonic(), False
         while not self._given_up.is_set():
             try:
-                bus = self._open(self.keys, REOPEN_S)
+                self._open_with_declarations()
             except Exception as error:  # of any kind: only this thread opens the bus again
                 if not logged:
                     log.warning("not open again yet: %s", error)
                 logged = True
                 self._given_up.wait(PAUSE_S)
                 continue
-            with self._lock:
-                self.bus = bus
-                for declared in self._declared:
-                    declared.entity = declared.declare(bus)
             log.info("open again with the keys of now, after %.2f s", time.monotonic() - began)
             self._mind_expiry()
             return
+
+    def _open_with_declarations(self) -> None:
+        """Open the bus and repeat all declarations on it; where one fails, the bus is closed again."""
+        bus = self._open(self.keys, REOPEN_S)
+        try:
+            with self._lock:
+                self.bus = bus  # before the declarations: one may call back at once
+                for declared in self._declared:
+                    declared.entity = declared.declare(bus)
+        except Exception:
+            self._drop()
+            raise
 
     def _mind_expiry(self) -> None:
         if self._expiry and self.keys:

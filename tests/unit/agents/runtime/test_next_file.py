@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from agents.runtime.next_file import LOOK_S, NextFile
 from coordinator.lab.deployment.split import area_files
 from dsse_core.grid.boundary import boundary_at
 from scenarios.scenario import load_scenario
+from tests.support.waiting import wait_until
 
 DEADLINE_S = 180.0
 CONTENT, OTHER = area_files(load_scenario("industrial13"), "run", ["tcp/127.0.0.1:7447"], time=0.0)
@@ -90,6 +92,28 @@ def test_one_that_is_replaced_is_read_again(folder: Folder):
     found = folder.offered()
     assert found is not None
     assert found.tolerance == 1e-8
+
+
+def test_one_that_is_replaced_while_it_is_read_is_offered_last(folder: Folder):
+    reads, may_go_on = [], threading.Event()
+
+    def load_slowly(path: Path) -> AreaFile:
+        found = load_area_file(path)
+        reads.append(found.tolerance)
+        assert may_go_on.wait(DEADLINE_S)
+        return found
+
+    folder.file = NextFile(folder.path, CONTENT, folder.inbox, load_slowly)
+    for tolerance in (1e-7, 1e-8):
+        save_area_file(folder.next, replace(CONTENT, tolerance=tolerance))
+        folder.look()
+        folder.look()
+        wait_until(lambda: bool(reads))
+    assert [thread.name for thread in threading.enumerate()].count("next file") == 1
+    may_go_on.set()
+    wait_until(lambda: folder.look() or len(reads) == 2)
+    while (found := folder.offered()) is None or found.tolerance != 1e-8:
+        assert reads == [1e-7, 1e-8]
 
 
 @pytest.mark.parametrize(

@@ -118,6 +118,24 @@ def test_what_is_declared_while_there_are_no_links_comes_with_them(opener: Opene
     wait_until(lambda: len(opener.opened) == 2 and opener.opened[1].declared == ["late"])
 
 
+def test_a_declaration_that_fails_is_tried_again_on_a_bus_of_its_own(opener: Opener, bus: RenewableBus):
+    failures = [False, True, True]
+
+    def declare_with_failures(bus: Bus) -> str:
+        if failures and failures.pop(0):
+            raise KeyError("the session has ended meanwhile")
+        bus.declared.append("flaky")
+        return "flaky"
+
+    declare(bus, "first")
+    bus.declare(declare_with_failures)
+    assert bus.interrupt()
+    bus.resume()
+    wait_until(lambda: len(opener.opened) == 4 and opener.opened[3].declared == ["first", "flaky"])
+    assert [bus.closed for bus in opener.opened] == [True, True, True, False]
+    assert bus.is_open(opener.opened[3])
+
+
 def test_a_second_renewal_during_the_first_leaves_one_bus_open(opener: Opener, bus: RenewableBus):
     for _ in range(5):
         assert bus.interrupt()
