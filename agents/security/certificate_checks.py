@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import datetime
 import socket
 import ssl
@@ -10,14 +9,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric.ed448 import Ed448PublicKey
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+from cryptography.x509.verification import Criticality, ExtensionPolicy, PolicyBuilder, Store, VerificationError
 
 from agents.security.credential_files import Credentials, find_mode_problems
 from dsse_core.files.bounded_file import LARGEST_PEM, read_bounded
 
+FOR_LINKS_ONLY = Ed25519PublicKey, Ed448PublicKey  # keys of authorities that links accept, and the library does not
 PROBE_S = 5.0  # time for a handshake that only finds the reason of a missing link
 
 
@@ -31,6 +34,7 @@ def find_credential_problems(credentials: Credentials, listens: bool) -> list[st
     for path, certificates in ((credentials.authority, authorities), (credentials.certificate, chain)):
         for certificate in certificates:
             problems += _find_date_problems(path, certificate, now)
+    has_wrong_date = bool(problems)
     if not chain:
         return problems
     own = chain[0]
@@ -42,11 +46,9 @@ def find_credential_problems(credentials: Credentials, listens: bool) -> list[st
     problems += _find_usage_problems(credentials.certificate, own, listens)
     if key and key.public_key() != own.public_key():
         problems.append(_does_not_belong(credentials.certificate, credentials.key))
-    if authorities and not _leads_to(chain, authorities):
-        problems.append(
-            f"{credentials.certificate}: was issued by {own.issuer.rfc4514_string()!r}, not by the authority in "
-            f"{credentials.authority}; take certificate and authority from the same `dsse keys create`"
-        )
+    if authorities:
+        dates = [certificate.not_valid_before_utc for certificate in (*chain, *authorities)]
+        problems += _find_chain_problems(credentials, chain, authorities, max(dates) if has_wrong_date else now)
     return problems
 
 
@@ -127,21 +129,38 @@ def _common_name(certificate: x509.Certificate) -> str:
     return str(names[0].value) if names else ""
 
 
-def _is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
-    with contextlib.suppress(ValueError, TypeError, InvalidSignature):
-        certificate.verify_directly_issued_by(authority)
-        return True
-    return False
-
-
-def _leads_to(chain: Sequence[x509.Certificate], authorities: Sequence[x509.Certificate]) -> bool:
-    """True where one of ``authorities`` issued the first of ``chain``, or a later one to which the issuers lead."""
-    for k, one in enumerate(chain):
-        if any(_is_issued_by(one, authority) for authority in authorities):
-            return True
-        if k + 1 == len(chain) or not _is_issued_by(one, chain[k + 1]):
-            return False
-    return False
+def _find_chain_problems(
+    credentials: Credentials,
+    chain: Sequence[x509.Certificate],
+    authorities: Sequence[x509.Certificate],
+    at: datetime.datetime,
+) -> list[str]:
+    """Problem of the issuers of the first of ``chain``, which lead by way of the others to one of ``authorities``."""
+    own, *between = chain
+    if any(isinstance(one.public_key(), FOR_LINKS_ONLY) for one in (*between, *authorities)):
+        return []  # the other end of a link checks them
+    of_authority = ExtensionPolicy.permit_all().require_present(x509.BasicConstraints, Criticality.AGNOSTIC, None)
+    policy = PolicyBuilder().store(Store(list(authorities))).time(at)
+    policy = policy.extension_policies(ca_policy=of_authority, ee_policy=ExtensionPolicy.permit_all())
+    try:
+        policy.build_client_verifier().verify(own, between)
+    except VerificationError as error:
+        problem = (
+            f"{credentials.certificate}: was issued by {own.issuer.rfc4514_string()!r}, not by the authority in "
+            f"{credentials.authority}; take certificate and authority from the same `dsse keys create`"
+        )
+        if "path length" in str(error):
+            problem = (
+                f"{credentials.certificate}: has more authorities between it and {credentials.authority} than one of "
+                "them allows (path length of its basicConstraints); take a certificate from an authority closer to it"
+            )
+        elif "basicConstraints" in str(error):
+            problem = (
+                f"{credentials.certificate}: an issuer of it, here or in {credentials.authority}, is no authority "
+                "(its basicConstraints lack CA); take a certificate that an authority has issued"
+            )
+        return [problem]
+    return []
 
 
 def explain_rejection(endpoint: str, credentials: Credentials) -> str:
