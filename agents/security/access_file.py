@@ -46,7 +46,9 @@ def load_access(path: Path) -> Access:
     problems = []
     for area, neighbours in table.neighbours.items():
         for n in neighbours:
-            if area not in table.neighbours.get(n, ()):
+            if n == area:
+                problems.append(f"neighbours.{area}: names {area!r} itself; remove it there")
+            elif area not in table.neighbours.get(n, ()):
                 problems.append(f"neighbours.{area}: {n!r} does not name {area!r} as its neighbour; add it there")
     access = Access(
         table.run,

@@ -58,10 +58,13 @@ def _write(path: Path, content: bytes, flag: int, mode: int) -> None:
 
 
 def find_mode_problems(path: Path, private: bool = False) -> list[str]:
-    """Rights by which users outside the file's group may change ``path``; ``private``: or read it."""
+    """Rights of users outside its group to change ``path``; ``private``: of all but its owner, to read it as well."""
     mode = stat.S_IMODE(path.stat().st_mode)
-    if private and mode & 0o007:
-        return [f"{path}: anybody on this host may read or change this private key; chmod o-rwx {path}"]
+    if private and mode & 0o077:
+        return [
+            f"{path}: other users than its owner may read or change this private key; give it to the user of the "
+            f"process alone, chmod go-rwx {path}"
+        ]
     if mode & 0o002:
-        return [f"{path}: anybody on this host may change this file; chmod o-w {path}"]
+        return [f"{path}: all users of this host may change this file; chmod o-w {path}"]
     return []

@@ -231,6 +231,7 @@ def test_the_access_file_brings_the_rules_back(tmp_path: Path):
         ('run = "r"', "neighbours: missing; area"),
         ('run = "r"\ncolour = 1\n[neighbours]\na = []', "colour: unknown key"),
         ('run = "r"\n[neighbours]\na = ["b"]\nb = []', "'b' does not name 'a' as its neighbour; add it there"),
+        ('run = "r"\n[neighbours]\na = ["a"]', "neighbours.a: names 'a' itself; remove it there"),
         ('run = "r"\n[neighbours]\n"a/**" = []', "neighbours.a/**: must match pattern '^[_a-z0-9-]+$'"),
         ("run = ", "not valid TOML"),
         *(

@@ -113,7 +113,7 @@ def modes_of(paths: Iterable[Path]) -> set[int]:
 @pytest.mark.parametrize("name", ["authority.crt", "area1.crt", "access.toml"])
 def test_a_file_that_anybody_may_change_is_rejected(keys: Path, name: str):
     (keys / name).chmod(0o666)
-    assert f"anybody on this host may change this file; chmod o-w {keys / name}" in problems_of(keys)
+    assert f"all users of this host may change this file; chmod o-w {keys / name}" in problems_of(keys)
 
 
 def test_whose_name_is_revoked_is_reported_at_the_start(keys: Path):
@@ -236,9 +236,10 @@ def test_a_key_that_cannot_be_read_is_named(keys: Path):
     assert "area1.key: cannot be read: is a folder" in problems_of(keys)
 
 
-def test_a_key_that_anybody_may_read_is_rejected(keys: Path):
-    (keys / "area1.key").chmod(0o644)
-    assert f"chmod o-rwx {keys / 'area1.key'}" in problems_of(keys)
+@pytest.mark.parametrize("mode", [0o640, 0o620, 0o604, 0o602])
+def test_a_key_that_others_than_its_owner_may_read_or_change_is_rejected(keys: Path, mode: int):
+    (keys / "area1.key").chmod(mode)
+    assert f"chmod go-rwx {keys / 'area1.key'}" in problems_of(keys)
 
 
 def test_keys_for_other_areas_are_rejected(keys: Path):
