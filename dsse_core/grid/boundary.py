@@ -122,6 +122,9 @@ def find_wrong_name(names: tuple[str, ...]) -> str:
     variables = [variable for name in names for variable in _read_name(name)]
     if len(set(variables)) < len(variables):
         return "a variable given twice"
+    powers, voltages = ({v.bus for v in variables if bool(v.area) is of_power} for of_power in (True, False))
+    if alone := sorted(powers ^ voltages):
+        return f"{'a power' if alone[0] in powers else 'a voltage'} alone among the variables at bus {alone[0]}"
     return "" if 0 < len(variables) <= MOST_VARIABLES else f"{len(variables)} variables, not 1 to {MOST_VARIABLES}"
 
 

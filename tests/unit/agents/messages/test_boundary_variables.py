@@ -57,6 +57,9 @@ def test_no_array_about_a_boundary_has_another_length_than_its_variables_ask_for
         (),
         ("p", "q", "vm", "va"),  # of versions before
         ("s@6", "v@6"),
+        ("s@6>b", "v@7"),
+        ("s@6>b",),
+        ("v@6",),
         ("s@6>b", "v@6>b"),
         ("s@6>", "v@6"),
         ("s@6>b", "v@06"),
