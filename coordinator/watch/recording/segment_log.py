@@ -39,6 +39,7 @@ class SegmentLog:
         self._largest = SHARE_OF_LIMIT * limit if limit else float("inf")
         self._on_segment_end = on_segment_end
         self._log: FrameLog | None = None
+        self._why_none = OSError(None, "no log was begun", str(folder))  # cause of a log that is missing
         self._ends_at = 0.0
         self.lost = 0
         self._unreported = 0
@@ -69,7 +70,7 @@ class SegmentLog:
     def _append(self, entries: Sequence[Entry]) -> None:
         try:
             if self._log is None:
-                raise OSError(None, "no log could be begun", str(self._folder))
+                raise self._why_none
             self._log.append(self._note_lost(entries[0].at) + [encode_entry(entry) for entry in entries])
             self._unreported = 0
         except OSError as error:
@@ -92,7 +93,8 @@ class SegmentLog:
                 self._log = FrameLog(log_of(self._folder, name_segment(millisecond)))
             except FileExistsError:
                 millisecond += 0.001  # a segment began and ended within this millisecond
-            except OSError:
+            except OSError as error:
+                self._why_none = error
                 return
 
     def _end(self) -> None:

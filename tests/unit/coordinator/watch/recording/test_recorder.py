@@ -83,8 +83,8 @@ def test_a_full_disk_loses_what_it_has_no_room_for_and_says_so(tmp_path: Path, m
     assert log.lost == 3
 
 
-def test_a_disk_full_from_the_start_leaves_no_open_file_and_no_log(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_disk_full_from_the_start_leaves_no_open_file_and_no_log_and_the_cause_is_logged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     files: list[int] = []
 
@@ -100,6 +100,7 @@ def test_a_disk_full_from_the_start_leaves_no_open_file_and_no_log(
         with pytest.raises(OSError, match=os.strerror(errno.EBADF)):
             os.fstat(files[0])
         assert not list((tmp_path / LOGS).iterdir())
+        assert "No space left on device; what arrives is lost" in caplog.text
         log.write([note(AT, "after")])
         log.close()
     assert [entry.key for entry in _written(tmp_path) if isinstance(entry, Entry)] == ["lost", "after"]
