@@ -14,6 +14,7 @@ from dsse_core.grid.network import Network
 
 KINDS, SOURCES = tuple(MeasurementKind), tuple(Source)
 NO_BRANCH, UNKNOWN = -2, -1
+UNKNOWN_BRANCH = "?"  # stands for the id of a branch that the network does not have
 _IS_OF_INJECTION = np.array([kind.of_injection for kind in KINDS])
 _IS_OF_BRANCH = np.array([kind.of_branch for kind in KINDS])
 _CODE_OF_KIND = {id(kind): k for k, kind in enumerate(KINDS)}  # members are singletons, and hashing them takes long
@@ -39,7 +40,7 @@ def make_meters(
     Args:
         kind: positions in KINDS.
         bus: ids of buses.
-        branch: rows of ``network.branches``, NO_BRANCH for a meter at a bus.
+        branch: rows of ``network.branches``, NO_BRANCH for a meter at a bus, UNKNOWN for a branch that is not there.
         source: positions in SOURCES; all telemetered by default.
     """
     if source is None:
@@ -80,7 +81,13 @@ class _MakeMeter:
     branch_ids: Sequence[str]
 
     def __call__(self, kind: int, bus: int, branch: int, source: int) -> Meter:
-        return Meter(KINDS[kind], bus, None if branch < 0 else self.branch_ids[branch], SOURCES[source])
+        return Meter(KINDS[kind], bus, self.id_of(branch), SOURCES[source])
+
+    def id_of(self, branch: int) -> str | None:
+        """Id of the branch in a row of the network; None at a bus."""
+        if branch < 0:
+            return None if branch == NO_BRANCH else UNKNOWN_BRANCH
+        return self.branch_ids[branch]
 
 
 def list_ids(meters: Sequence[Meter]) -> list[str]:
@@ -109,7 +116,7 @@ def list_columns(meters: Sequence[Meter]) -> dict[str, list[Any]]:
 def _list_branches(meters: Records[Meter]) -> list[str | None]:
     make = meters.make
     assert isinstance(make, _MakeMeter)
-    return [None if branch < 0 else make.branch_ids[branch] for branch in meters.columns["branch"].tolist()]
+    return list(map(make.id_of, meters.columns["branch"].tolist()))
 
 
 def list_texts(texts: Sequence[str], numbers: np.ndarray) -> list[str]:
@@ -138,10 +145,8 @@ def tabulate_meters(network: Network, meters: Sequence[Meter]) -> MeterTable:
     if isinstance(meters, Records):
         columns = meters.columns
         branch = columns["branch"]
-        if table.in_service.all():
-            branch = np.where(branch < 0, NO_BRANCH, branch)
-        else:
-            branch = np.append(table.active_row, NO_BRANCH)[np.maximum(branch, -1)]  # the last row stands for -1
+        if not table.in_service.all():
+            branch = np.append(table.active_row, (NO_BRANCH, UNKNOWN))[branch]  # the last rows stand for -2 and -1
         return MeterTable(columns["kind"], table.rows.find(columns["bus"]), branch)
     bus = np.array([meter.bus for meter in meters], dtype=np.int64)
     branch = rows_of_texts(network.active_branch_ids, [meter.branch for meter in meters])
