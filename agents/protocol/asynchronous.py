@@ -49,6 +49,7 @@ from agents.protocol.quality import (
     find_rejected_clocks,
     find_skewed_clocks,
     find_unreadable_payloads,
+    find_waiting_next,
 )
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import find_no_load
@@ -267,6 +268,7 @@ class AsynchronousProtocol(AreaProtocol):
         yield from (Finding(DEGRADED if estimate else NONE, note, note.partition(":")[0]) for note in self._notes)
         yield from find_rejected_clocks(self._rejections.ahead)
         yield from find_other_splits(self._splits.add_to(()), self._area.name)
+        yield from find_waiting_next(self._splits.held, self._splits.edited_next)
         yield from find_contradictions(self._rejections.contradictions)
         yield from find_unreadable_payloads(self._rejections.unreadable_in(self.scan))
         yield from find_skewed_clocks(self._peers.skewed)

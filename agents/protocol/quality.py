@@ -168,6 +168,19 @@ def find_next_split(totals: Totals, edited: SplitIdentity) -> Iterator[Finding]:
         if count < totals.areas or len(totals.held) > 1:
             what = f"the file of the next {split} lies ready in {count} of {totals.areas} areas"
             yield Finding(GOOD, what, "file of the next split")
+    yield from find_edited_next(edited)
+
+
+def find_waiting_next(held: SplitIdentity, edited: SplitIdentity) -> Iterator[Finding]:
+    """Yields findings, under a strategy without verdicts, for a next file: ``held``, usable, or ``edited``, not."""
+    if held.digest:
+        what = f"the file of the next {held} lies ready: the area takes it once a neighbour works on that split"
+        yield Finding(GOOD, what, "file of the next split")
+    yield from find_edited_next(edited)
+
+
+def find_edited_next(edited: SplitIdentity) -> Iterator[Finding]:
+    """Yields a finding for a file of the next split that was edited."""
     if edited.edited:
         yield Finding(GOOD, f"the file of the next {edited} cannot be used: replace it", "file of the next split")
 

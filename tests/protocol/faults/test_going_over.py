@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from agents.protocol.quality import GOOD
+from scenarios.telemetry import make_telemetry
 from tests.support.going_over import LONGEST_GAP_S, NEXT, OLD, GoingOver, files_of
+from tests.support.simulated_bus import SimulatedBus
 
 WHAT = ("other cuts", "other network")
 AREAS = tuple(area.name for area in OLD.partition.areas)
@@ -113,6 +115,24 @@ def test_an_edited_next_file_is_none_and_is_named_in_its_area():
     assert any(f"{edited.identity} cannot be used" in note for note in system.bus.states[HUB].notes)
     system.bus.offer(HUB, system.file(HUB))
     assert_over(system, scans=2)
+
+
+def test_an_area_without_verdicts_names_the_next_file_that_lies_ready_and_one_that_was_edited():
+    old, new = (
+        files_of(replace(scenario, strategy="angle-offset"), later_s)
+        for scenario, later_s in ((OLD, -60.0), (NEXT["other cuts"], 0.0))
+    )
+    bus = SimulatedBus(old, make_telemetry(OLD).by_area)
+    bus.run(LONGEST_GAP_S)
+    following = next(content for content in new if content.area.name == HUB)
+    bus.offer(HUB, following)
+    bus.run(LONGEST_GAP_S)
+    remark = f"the file of the next {following.identity} lies ready: the area takes it once a neighbour works on"
+    assert [name for name, state in bus.states.items() if any(remark in note for note in state.notes)] == [HUB]
+    edited = replace(following, tolerance=1e-7)
+    bus.offer(HUB, edited)
+    bus.run(LONGEST_GAP_S)
+    assert any(f"{edited.identity} cannot be used" in note for note in bus.states[HUB].notes)
 
 
 def test_a_next_file_that_is_taken_away_again_keeps_all_on_the_old_split():
