@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 from dsse_core.grid.measurement import MeasurementKind
 
@@ -71,6 +71,18 @@ NO_RULE = KindRule()
 def allowed_lead_s(scan_s: float | None) -> float:
     """Longest time by which a reading may be ahead of its receiver's clock, s; ``scan_s``: time between scans, s."""
     return max(LEAST_LEAD_S, LEAD_SHARE * (scan_s or 0.0))
+
+
+AnyOrder = TypeVar("AnyOrder", bound=tuple[Any, ...])
+"""Order of the readings of a meter: the time of measurement, s since 1970, then what orders readings of one time."""
+
+
+def replaces(order: AnyOrder, known: AnyOrder, now: float, lead_s: float) -> bool:
+    """True where a reading replaces the ``known`` one of its meter: of two readings the one measured later counts.
+
+    A known reading that lies more than ``lead_s`` after ``now`` gives way to any: its receiver's clock was set back.
+    """
+    return order > known or known[0] > now + lead_s
 
 
 @dataclass(frozen=True, slots=True)

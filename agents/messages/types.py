@@ -145,7 +145,7 @@ class HeartbeatMessage(PlaceMessage):
     Asynchronous strategies have no rounds: there ``k`` is the number of the newest boundary message to the receiver.
     ``complete``: everything on the sender's side is of this scan, received and fresh. ``y``: at rest, the d
     ``variables`` of the boundary in the sender's final state. ``plant``, ``offset``: the scan of terms is the number
-    that this incarnation of the plant gives the scan, plus ``offset`` (``agents/protocol/scan_readings.py``).
+    that this incarnation of the plant gives the scan, plus ``offset`` (``agents/protocol/numbering.py``).
     ``towards_hub``, ``is_parent``: role of the receiver for the sender; ``areas``: number of areas in the grid;
     ``base_mva``: base power, MVA; all four are from the sender's area file (``agreement.py``). ``clock``: lead of the
     sender's clock over its send times, s; these go on where the clock has been set back. ``split``: of the sender's

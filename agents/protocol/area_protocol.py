@@ -2,7 +2,7 @@
 
 The protocol takes in messages and rejects some. It knows its neighbours as processes, and repeats to each the messages
 without acknowledgement. It sends them the load of its side and heartbeats, and publishes the state. The meaning of the
-messages of a strategy is in ``rounds.py`` (rounds) and ``asynchronous.py`` (asynchronous strategies). No bus, no clock,
+messages of a strategy is in ``rounds/`` (rounds) and ``asynchronous.py`` (asynchronous strategies). No bus, no clock,
 no randomness.
 """
 
@@ -56,10 +56,9 @@ from agents.protocol.events import (
     Rejected,
     StopRequested,
 )
+from agents.protocol.numbering import ScanReadings, TickReadings
 from agents.protocol.published_state import PublishedState
 from agents.protocol.scan_end import ScanEnd
-from agents.protocol.scan_readings import ScanReadings
-from agents.protocol.tick_readings import TickReadings
 from dsse_core.exchange.boundary_load import NetLoad, load_message_for
 from dsse_core.grid.measurement import Source
 from dsse_core.split_identity import NO_SPLIT

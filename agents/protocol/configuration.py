@@ -1,7 +1,7 @@
 """Configuration of an area: the value on which its terms rest. Other packages read and write its files.
 
 Hub, neighbours, models, meters and the flat start follow from it. A configuration changes only between two scans,
-together with those of all other areas (``rounds.py``). ``table_of`` returns its plain values key by key: a file holds
+together with those of all other areas (``rounds/``). ``table_of`` returns its plain values key by key: a file holds
 these values, and its digest covers them.
 """
 

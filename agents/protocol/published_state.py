@@ -13,9 +13,9 @@ from agents.peers.peer_table import PeerTable
 from agents.peers.rejections import Rejections
 from agents.peers.splits import Splits
 from agents.protocol.events import Ordered
+from agents.protocol.numbering import ScanReadings
 from agents.protocol.quality import Assessment
 from agents.protocol.readings import Ages
-from agents.protocol.scan_readings import ScanReadings
 from agents.strategies.interface import Estimate
 from dsse_core.grid.partition import Area
 

@@ -10,8 +10,8 @@ from unittest import mock
 
 from agents.peers.peer_table import PeerTable
 from agents.peers.peers import Peer
+from agents.protocol.numbering import ScanReadings, TelemetryUpdate
 from agents.protocol.rounds import RoundsProtocol
-from agents.protocol.scan_readings import ScanReadings, TelemetryUpdate
 
 _take, _stamp = ScanReadings.take, PeerTable.stamp
 _go_on, _take_in_term = RoundsProtocol._go_on, RoundsProtocol._take_in_term

@@ -107,5 +107,5 @@ class ToyEstimation:
 def toy_numbers() -> Iterator[None]:
     """Areas begun meanwhile have the numbers of the toy."""
     ToyEstimation.sent = []
-    with mock.patch("agents.protocol.area_round.AreaEstimation", ToyEstimation):
+    with mock.patch("agents.protocol.rounds.area_round.AreaEstimation", ToyEstimation):
         yield

@@ -9,6 +9,7 @@ from coordinator.field.gateway import counts as reasons
 from coordinator.field.gateway.counts import Counts
 from coordinator.field.gateway.maps.points import Point, number_of
 from dsse_core.printable import printable, shortened
+from dsse_core.reading_rules import replaces
 
 EARLIEST_S = 946_684_800.0  # 2000-01-01; a device without a clock counts from 1970
 
@@ -90,17 +91,16 @@ class Intake:
     def _take(self, point: Point, reading: Reading, now: float, is_stated: bool) -> None:
         of_area = self.newest.setdefault(point.area, {})
         last = of_area.get(point.meter.id)
-        if last is not None and last.time > now + self.ahead_s:
-            last = None  # the clock of this host was set back: the last reading lies in the future
-        if last is not None and reading.time < last.time:
-            age = f"{last.time - reading.time:.3g} s older than the last"
-            self._reject(reasons.OLDER, point.address, age)
-            return
         if last == reading:
             self.counts.superseded += 1  # the same reading again
             return
-        if last is not None and reading.time == last.time and is_stated:
-            self._reject(reasons.TWICE, point.address, "has another value of the same time, which is kept")
+        order = reading.time, not is_stated  # of two readings of one time by the clock of this host the later counts
+        if last is not None and not replaces(order, (last.time, False), now, self.ahead_s):
+            if reading.time < last.time:
+                age = f"{last.time - reading.time:.3g} s older than the last"
+                self._reject(reasons.OLDER, point.address, age)
+            else:
+                self._reject(reasons.TWICE, point.address, "has another value of the same time, which is kept")
             return
         waiting = self.waiting.setdefault(point.area, set())
         self.counts.superseded += point.meter.id in waiting

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from agents.messages.packing import DownMessage, Header, Incarnation, LoadMessage, UpMessage
+from agents.protocol.numbering import ScanReadings
 from agents.protocol.readings import DEADLINE_HEARTBEATS
-from agents.protocol.scan_readings import ScanReadings
 from coordinator.lab.plant.telemetry_messages import make_message
 from coordinator.lab.simulator import simulator
 from scenarios.scenario import load_scenario

@@ -11,8 +11,8 @@ import pytest
 from agents.messages.packing import DownMessage, HeartbeatMessage, Incarnation, UpMessage
 from agents.peers.round_trip import LEAST_WAIT_S
 from agents.protocol.events import PresenceChanged, Received
+from agents.protocol.numbering import MOST_AHEAD
 from agents.protocol.quality import GOOD
-from agents.protocol.scan_readings import MOST_AHEAD
 from dsse_core.estimation.decision import Decision, Memory, Totals, decide
 from tests.support.toy_estimation import toy_numbers
 from tests.support.toy_history import MOST_CHATTER

@@ -8,7 +8,7 @@ import pytest
 
 from agents.messages.packing import Header, Incarnation, TelemetryMessage
 from agents.protocol.events import Ordered
-from agents.protocol.tick_readings import TickReadings
+from agents.protocol.numbering import TickReadings
 from coordinator.lab.deployment.split import area_files
 from dsse_core.grid.measurement import Source
 from dsse_core.reading_rules import ANYBODY, ReadingRules

@@ -31,11 +31,11 @@ from agents.messages.triangle import write_triangle
 from agents.peers.peers import Peer, Term
 from agents.peers.rejections import BEYOND, FAR_SCAN, MOST_COUNTED
 from agents.protocol.area_protocol import AreaProtocol
-from agents.protocol.area_round import AreaRound, Content, Decider, Outcome
 from agents.protocol.configuration import Configuration
 from agents.protocol.events import Action, Publish
-from agents.protocol.rounds_state import RoundsState
-from agents.protocol.scan_readings import MOST_AHEAD, TelemetryUpdate
+from agents.protocol.numbering import MOST_AHEAD, TelemetryUpdate
+from agents.protocol.rounds.area_round import AreaRound, Content, Decider, Outcome
+from agents.protocol.rounds.state import RoundsState
 from agents.strategies.interface import AnyStrategy
 from dsse_core.estimation.decision import Totals
 

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from agents.area_files.area_file import AreaFile
 from agents.messages.packing import Header, Incarnation, TelemetryMessage
-from agents.protocol.reading_store import ReadingStore
-from agents.protocol.readings import Readings
+from agents.protocol.readings import Readings, ReadingStore
 from coordinator.lab.deployment.split import area_files
 from dsse_core.grid.measurement import MeasurementKind, Source
 from dsse_core.reading_rules import KindRule, MetersOf, ReadingRules

@@ -12,9 +12,9 @@ from agents.peers.peer_table import PeerTable
 from agents.peers.peers import Term
 from agents.peers.rejections import Rejections
 from agents.peers.splits import Splits
-from agents.protocol.area_round import AreaRound, Outcome
 from agents.protocol.configuration import Configuration
 from agents.protocol.gateway_watch import GatewayWatch
+from agents.protocol.numbering import ScanReadings
 from agents.protocol.published_state import PublishedState
 from agents.protocol.quality import (
     DEGRADED,
@@ -43,8 +43,8 @@ from agents.protocol.quality import (
     find_unreadable_payloads,
 )
 from agents.protocol.readings import Ages
+from agents.protocol.rounds.area_round import AreaRound, Outcome
 from agents.protocol.scan_end import ScanEnd
-from agents.protocol.scan_readings import ScanReadings
 from agents.strategies.interface import Estimate
 from dsse_core.estimation.decision import STEPS_USED_UP, Totals
 from dsse_core.estimation.decision import UNOBSERVABLE as NOT_OBSERVABLE
