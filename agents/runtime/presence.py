@@ -52,6 +52,10 @@ class Presence:
         """(role, name) of all that are there."""
         return set(self._incarnations)
 
+    def has(self, role: str, name: str) -> bool:
+        """True where a token of this name is there."""
+        return (role, name) in self._incarnations
+
     def incarnations_of(self, role: str, name: str) -> list[Incarnation]:
         """All incarnations of a name that are there, the newest last."""
         return sorted(self._incarnations.get((role, name), ()))

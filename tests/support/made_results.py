@@ -30,7 +30,7 @@ def make_result(scenario: Scenario, folder: Path) -> RunResult:
     central = process_bad_data(scenario.network, telemetry.union)
     buses = results_of_estimate(central).buses
     sigma = np.array([buses.sigma_vm_pu, np.radians(buses.sigma_va_deg)])
-    observer = Observer(scenario.partition, 1e-6, 1e-6, 0.2, False)
+    observer = Observer("run", scenario.partition, 1e-6, 1e-6, 0.2, False)
     for number, (at, gap) in enumerate(zip(AT_S, GAPS, strict=True), start=1):
         for area in scenario.partition.areas:
             rows = [scenario.network.row[bus.id] for bus in area.network.buses]

@@ -100,7 +100,7 @@ class Watcher:
         self.scenario = load_scenario(scenario)
         self.telemetry = make_telemetry(self.scenario)
         self.leave_out()
-        self._observer = make_observer(self.scenario)
+        self._observer = make_observer(self.scenario, self.scenario.name)
         self._presence = Presence()
         self._updates: queue.SimpleQueue[bytes | tuple[str, bool]] = queue.SimpleQueue()
         self._session = Session.connect(endpoints, DEADLINE_S, load_keys(keys, "coordinator"))

@@ -67,9 +67,10 @@ def choose_scenario(
     return replace(scenario, faults=change_links(scenario.faults, links)) if links else scenario
 
 
-def make_observer(scenario: Scenario) -> Observer:
-    """An observer with the tolerances and the heartbeat of ``scenario``."""
+def make_observer(scenario: Scenario, run: str) -> Observer:
+    """An observer of run ``run`` with the tolerances and the heartbeat of ``scenario``."""
     return Observer(
+        run,
         scenario.partition,
         tolerance_va=scenario.tolerances.consensus_va_rad,
         tolerance_vm=scenario.tolerances.consensus_vm_pu,

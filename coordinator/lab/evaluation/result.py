@@ -14,7 +14,8 @@ from coordinator.lab.evaluation.comparison import Comparison
 from coordinator.lab.evaluation.run_tables import make_run_tables
 from coordinator.lab.evaluation.verdict import Verdict
 from coordinator.watch.observe.duplicates import Duplicate
-from coordinator.watch.observe.observer import Observer, Sample, count_exchanges
+from coordinator.watch.observe.observer import Observer, Sample
+from coordinator.watch.observe.watch import count_exchanges
 from coordinator.watch.tables.table_files import write_json, write_tables
 from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.grid.measurement import Measurement
@@ -112,7 +113,7 @@ def make_area_results(observer: Observer, comparison: Comparison, now: float) ->
 
 
 def _make_area_result(name: str, observer: Observer, comparison: Comparison, now: float) -> AreaResult:
-    state = observer.states.get(name)
+    state = observer.watcher.state_of(name)
     gap, error = comparison.gap_of(name), comparison.error_of(name)
     estimated = state is not None and bool(state.buses)
     assessment = observer.assess_area(name, now)

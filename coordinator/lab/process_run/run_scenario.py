@@ -160,7 +160,7 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
     scenario = run.scenario
     run.system.start_agents()
     run.note_time("agents_started")
-    observer = make_observer(scenario)
+    observer = make_observer(scenario, run.id)
     with run.system.join(COORDINATOR) as session:
         listen(run, session)
         reason = None

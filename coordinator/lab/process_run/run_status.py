@@ -125,8 +125,8 @@ def take_update(run: RunUnderWay, observer: Observer, item: object) -> str | Non
     """Takes in one update. Returns the reason to end the run if the update is one, else None."""
     match item:
         case _StateReceived(at, state):
-            is_new = state.header.run == run.id and observer.take_state(state, at)
-            if observer.states.get(state.header.sender) is state:  # not from an unknown sender, and not outdated
+            is_new = observer.take_state(state, at)
+            if observer.watcher.state_of(state.header.sender) is state:  # not from an unknown sender, and not outdated
                 run.states.take(state, at, is_new)
         case ReadingsMessage():
             run.used.take(item)

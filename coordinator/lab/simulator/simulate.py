@@ -100,7 +100,7 @@ class Simulation:
         self._on_update = on_update
         self._subscriber = subscriber or Subscriber()
         self.id = f"{default_run_id(scenario)}-{scenario.seed % 2**32:08x}"  # as long as that of processes
-        self._observer = make_observer(scenario)
+        self._observer = make_observer(scenario, self.id)
         self._telemetry = make_telemetry(scenario)
         self._centralised = estimate_centralised(scenario, self._telemetry)
         self._write(0.0, "run started", run=self.id, scenario=scenario.name, seed=scenario.seed)
@@ -183,7 +183,7 @@ class Simulation:
     def _take_state(self, at: float, state: StateMessage) -> None:
         self._subscriber.take_state(at, state)
         is_new = self._observer.take_state(state, at)
-        if self._observer.states.get(state.header.sender) is state:
+        if self._observer.watcher.state_of(state.header.sender) is state:
             self._states.take(state, at, is_new)
         if self._on_update and time.monotonic() >= self._next_update:
             self._on_update(describe_progress(self._observer, at, self._observer.standing(at).obstacles))

@@ -1,5 +1,4 @@
-"""Observer of a run for the coordinator: the areas' states, and the test of consensus. No bus, no clock, no centralised
-result.
+"""Consensus of a run, as a function of what its watcher has received. No bus, no clock, no centralised result.
 
 Consensus: every area is alive, has an estimate of the current scan whose angles count from the substation,
 agrees with the others at every boundary bus and has received the last messages of its neighbours. Areas publish
@@ -20,9 +19,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from agents.messages.packing import StateMessage
-from agents.peers.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, is_old
+from agents.messages.keys import live_key
+from agents.messages.packing import NO_INCARNATION, StateMessage
+from agents.peers.freshness import PATIENCE_HEARTBEATS
 from agents.protocol.quality import GOOD, NONE, STALE, UNOBSERVABLE, Assessment, assess_from_outside
+from coordinator.watch.observe.watch import Watcher, count_exchanges
 from dsse_core.grid.columns import read_ids
 from dsse_core.grid.partition import Partition
 from dsse_core.printable import printable
@@ -64,18 +65,19 @@ class Sample:
 
 
 @dataclass
-class _Watched:
-    alive: bool = False
-    state: StateMessage | None = None
+class _Course:
+    """Course of an area's states."""
+
     buses: tuple[int, ...] = ()  # of the last state with an estimate
-    received_at: float = -math.inf
     repeats: int = 0  # of the state since change number ``change``, the newest of any area when the last repeat came
     change: int = 0
 
 
 @dataclass
 class Observer:
-    """Takes in states and presence of areas with the time of their arrival.
+    """Takes in states and presence of the areas of run ``run`` with the time of their arrival, and tests consensus.
+
+    ``watcher`` keeps states and presence, and judges their age, for this run as for any other.
 
     Args:
         tolerance_va, tolerance_vm: largest mismatch of areas that agree at a boundary bus, rad and p.u.
@@ -83,6 +85,7 @@ class Observer:
         compare_magnitudes: True where the strategy reconciles voltage magnitudes.
     """
 
+    run: str
     partition: Partition
     tolerance_va: float
     tolerance_vm: float
@@ -92,16 +95,16 @@ class Observer:
     changed_at: float = -math.inf
 
     def __post_init__(self) -> None:
-        self._watched = {area.name: _Watched() for area in self.partition.areas}
+        self._courses = {area.name: _Course() for area in self.partition.areas}
         self._buses = {area.name: area.network.table.bus_id for area in self.partition.areas}
-        self._states: dict[str, StateMessage] = {}
+        self.watcher = Watcher(self.run, frozenset(self._buses))
         self._changes = 0
         self._disturbed_at = -math.inf  # time of the last disturbance
 
     @property
     def states(self) -> Mapping[str, StateMessage]:
         """The newest state of every area that has published one."""
-        return self._states
+        return self.watcher.states
 
     @property
     def scan(self) -> int:
@@ -114,29 +117,23 @@ class Observer:
         return max((count_exchanges(state) for state in self.states.values()), default=0)
 
     def take_state(self, state: StateMessage, now: float) -> bool:
-        """Keep ``state`` if it is at least as new as the area's last; True unless it is a repeat."""
-        watched = self._watched.get(state.header.sender)
-        if watched is None or not self._is_of_its_area(state):
-            return False
-        last = watched.state
-        if last is not None and is_old(
-            state.header, last.header, now - watched.received_at, PATIENCE_HEARTBEATS * self.heartbeat_s
-        ):
+        """Keep ``state`` as the watcher does; True unless it is a repeat, or not kept."""
+        course = self._courses.get(state.header.sender)
+        last = self.watcher.state_of(state.header.sender)
+        if course is None or not self._is_of_its_area(state) or not self.watcher.take_state(state, now):
             return False
         if last is not None and state.header.incarnation != last.header.incarnation:
             self._disturbed_at = now
-        watched.received_at = now
-        watched.state = self._states[state.header.sender] = state  # a repeat carries newer message counts
         if last is not None and state.header.order == last.header.order:
-            watched.repeats = self._repeats(watched) + 1
-            watched.change = self._changes
+            course.repeats = self._repeats(course) + 1
+            course.change = self._changes
             return False
         self._note_change(now)
         if state.buses:
             vm, va = array("d", state.vm), array("d", state.va)  # a quarter of the memory of tuples; there are many
-            if watched.buses != state.buses:  # else the same tuple again, not one for each state
-                watched.buses = state.buses
-            self.history.append(Sample(now, state.header.sender, watched.buses, vm, va, state.referenced))
+            if course.buses != state.buses:  # else the same tuple again, not one for each state
+                course.buses = state.buses
+            self.history.append(Sample(now, state.header.sender, course.buses, vm, va, state.referenced))
         return True
 
     def _is_of_its_area(self, state: StateMessage) -> bool:
@@ -146,10 +143,9 @@ class Observer:
 
     def take_presence(self, area: str, alive: bool, now: float) -> bool:
         """Note that an area's token appeared or vanished; True where this is a change."""
-        watched = self._watched.get(area)
-        if watched is None or watched.alive == alive:
+        if area not in self._courses or self.watcher.is_present(area) == alive:
             return False
-        watched.alive = alive
+        self.watcher.take_presence(live_key(self.run, "area", area, NO_INCARNATION), alive)
         if not alive:
             self._disturbed_at = now
         self._note_change(now)
@@ -162,13 +158,13 @@ class Observer:
 
     def assess_area(self, area: str, now: float) -> Assessment:
         """Quality of the area's last state at time ``now``, with reasons; stale once the area is gone or silent."""
-        watched = self._watched[area]
-        if watched.state is None:
+        state = self.watcher.state_of(area)
+        if state is None:
             return assess_from_outside(None, "")
-        silence = "" if watched.alive else f"{area} is not on the bus"
-        if not silence and now - watched.received_at >= FRESH_HEARTBEATS * self.heartbeat_s:
-            silence = f"{area} has sent nothing for {now - watched.received_at:.1f} s"
-        return assess_from_outside(watched.state, silence, tuple(self._find_disputes(area)))
+        silence = "" if self.watcher.is_present(area) else f"{area} is not on the bus"
+        if not silence and self.watcher.is_silent(area, now):
+            silence = f"{area} has sent nothing for {self.watcher.age_of(area, now):.1f} s"
+        return assess_from_outside(state, silence, tuple(self._find_disputes(area)))
 
     def _find_disputes(self, area: str) -> Iterator[str]:
         """Sentences on boundary buses where a neighbour publishes another voltage for the same scan.
@@ -179,7 +175,7 @@ class Observer:
                 continue
             others = names[1:] if area == names[0] else names[:1]
             for other in others:
-                one, two = self._states.get(area), self._states.get(other)
+                one, two = self.watcher.state_of(area), self.watcher.state_of(other)
                 if one is None or two is None or not (one.buses and two.buses and one.referenced and two.referenced):
                     continue
                 if one.header.scan == two.header.scan:
@@ -196,17 +192,17 @@ class Observer:
         ages = self._find_cut_off(now)
         obstacles = tuple(f"{name} has received no telemetry for {age:.1f} s" for name, age in ages.items())
         if now - self.changed_at < SETTLING_HEARTBEATS * self.heartbeat_s:  # neighbours' rest not known yet
-            qualities = {name: self.quality_of(name, now) for name in self._watched}
+            qualities = {name: self.quality_of(name, now) for name in self._courses}
             obstacles += tuple(f"{name} is {quality}" for name, quality in qualities.items() if quality != GOOD)
         return Standing(obstacles, self._find_dead_end(ages))
 
     def _find_unobservable(self, now: float) -> str | None:
         """Sentence that the readings of this scan do not determine the state; else None."""
-        if any(self.quality_of(name, now) != UNOBSERVABLE for name in self._watched):
+        if any(self.quality_of(name, now) != UNOBSERVABLE for name in self._courses):
             return None
         if now - self.changed_at < self._longest_wait_s:
             return None
-        first = next(iter(self._states.values()))
+        first = next(iter(self.states.values()))
         return f"the readings of scan {self.scan} do not determine the state: {'; '.join(first.notes)}"
 
     @property
@@ -229,11 +225,11 @@ class Observer:
     def _find_cut_off(self, now: float) -> dict[str, float]:
         """Area -> time since its last telemetry, s; for areas stale or without telemetry since the last disturbance."""
         found = {}
-        for name, watched in self._watched.items():
-            state = watched.state
+        for name in self._courses:
+            state = self.watcher.state_of(name)
             if state is None or state.quality == NONE:
                 continue
-            telemetry_at = watched.received_at - state.telemetry_age
+            telemetry_at = now - self.watcher.age_of(name, now) - state.telemetry_age
             if self.quality_of(name, now) == STALE or telemetry_at < self._disturbed_at:
                 found[name] = now - telemetry_at
         return found
@@ -241,8 +237,8 @@ class Observer:
     def _find_disunity(self, now: float) -> list[str]:
         """The missing conditions of agreement, in words; the quality of the estimates does not count here."""
         states, scan, obstacles = self.states, self.scan, []
-        for name, watched in self._watched.items():
-            obstacle = self._find_area_obstacle(name, watched, scan)
+        for name in self._courses:
+            obstacle = self._find_area_obstacle(name, scan)
             if obstacle:
                 obstacles.append(obstacle)
         for bus, names in self.partition.boundaries.items():
@@ -260,23 +256,23 @@ class Observer:
         """True where nothing has changed for QUIET_HEARTBEATS, and every area has repeated its state as often."""
         if now - self.changed_at < QUIET_HEARTBEATS * self.heartbeat_s:
             return False
-        return min(map(self._repeats, self._watched.values()), default=0) >= QUIET_HEARTBEATS
+        return min(map(self._repeats, self._courses.values()), default=0) >= QUIET_HEARTBEATS
 
     def find_absent(self) -> tuple[str, ...]:
         """The areas that are not on the bus."""
-        return tuple(name for name, watched in self._watched.items() if not watched.alive)
+        return tuple(name for name in self._courses if not self.watcher.is_present(name))
 
     def _note_change(self, now: float) -> None:
         self.changed_at = now
         self._changes += 1
 
-    def _repeats(self, watched: _Watched) -> int:
+    def _repeats(self, course: _Course) -> int:
         """Number of repeats of the area's state since the last change of any area."""
-        return watched.repeats if watched.change == self._changes else 0
+        return course.repeats if course.change == self._changes else 0
 
-    def _find_area_obstacle(self, name: str, watched: _Watched, scan: int) -> str | None:
-        state = watched.state
-        if not watched.alive:
+    def _find_area_obstacle(self, name: str, scan: int) -> str | None:
+        state = self.watcher.state_of(name)
+        if not self.watcher.is_present(name):
             return f"{name} is not on the bus"
         if state is None:
             return f"{name} has not shown a state"
@@ -305,12 +301,18 @@ class Observer:
 
     def mismatch_at(self, bus: int, one: str, other: str) -> tuple[float, float]:
         """Differences of magnitude and (wrapped) angle that two areas publish for ``bus``, p.u. and rad."""
-        vm, va = zip(*(_voltage(self.states[name], bus) for name in (one, other)), strict=True)
+        vm, va = zip(*(self._voltage(name, bus) for name in (one, other)), strict=True)
         return abs(vm[0] - vm[1]), abs(math.remainder(va[0] - va[1], 2 * math.pi))
+
+    def _voltage(self, area: str, bus: int) -> tuple[float, float]:
+        state = self.watcher.state_of(area)
+        assert state is not None  # the caller has checked it
+        row = state.buses.index(bus)
+        return state.vm[row], state.va[row]
 
     def _find_unacknowledged(self) -> list[str]:
         """Sentences on messages that are not received yet or not sent, between areas that are on the bus."""
-        states = {name: state for name, state in self.states.items() if self._watched[name].alive}
+        states = {name: state for name, state in self.states.items() if self.watcher.is_present(name)}
         found = []
         for area in self.partition.areas:
             for n in area.neighbours:
@@ -327,13 +329,3 @@ class Observer:
                     elif n_received != n_sent:
                         found.append(f"{n.area} has not received the last {kind} message of {area.name}")
         return found
-
-
-def count_exchanges(state: StateMessage) -> int:
-    """The largest number of changed messages that an area has sent to one neighbour; they are numbered from 1."""
-    return max((load + boundary for load, boundary in state.sent.values()), default=0)
-
-
-def _voltage(state: StateMessage, bus: int) -> tuple[float, float]:
-    row = state.buses.index(bus)
-    return state.vm[row], state.va[row]

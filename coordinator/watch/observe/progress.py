@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from agents.messages.packing import StateMessage
-from coordinator.watch.observe.observer import Observer, count_exchanges
+from coordinator.watch.observe.observer import Observer
+from coordinator.watch.observe.watch import count_exchanges
 
 UPDATE_S = 0.1  # of wall time between two updates
 
@@ -45,10 +46,10 @@ def describe_progress(observer: Observer, elapsed_s: float, obstacles: tuple[str
 
 
 def _describe_area(observer: Observer, name: str, alive: bool) -> AreaProgress:
-    state = observer.states.get(name)
+    state = observer.watcher.state_of(name)
     if state is None:
         return AreaProgress(name, "joined" if alive else "starting", 0, 0, None, None, 0, 0)
-    mismatches = _find_mismatches(observer, name)
+    mismatches = _find_mismatches(observer, name, state)
     agrees = all(va is not None and va <= observer.tolerance_va for _, va in mismatches)
     return AreaProgress(
         name=name,
@@ -62,17 +63,16 @@ def _describe_area(observer: Observer, name: str, alive: bool) -> AreaProgress:
     )
 
 
-def _find_mismatches(observer: Observer, name: str) -> list[tuple[float | None, float | None]]:
+def _find_mismatches(observer: Observer, name: str, own: StateMessage) -> list[tuple[float | None, float | None]]:
     """Differences of magnitude and angle at boundary buses with neighbours that have an estimate, p.u. and rad.
 
     Both are None where the scans differ; the angle is None unless the angles of both areas count from the substation.
     """
-    own = observer.states[name]
     if not own.buses:
         return []
     found: list[tuple[float | None, float | None]] = []
     for other, boundary in observer.partition.area(name).boundaries.items():
-        theirs = observer.states.get(other)
+        theirs = observer.watcher.state_of(other)
         if theirs is None or not theirs.buses:
             continue
         for bus in boundary.buses:

@@ -16,7 +16,6 @@ from agents.peers.freshness import is_old
 from agents.protocol.quality import assess_from_outside
 from agents.runtime.presence import MAX_NAMES, Presence
 from coordinator.watch.observe.duplicates import NOUNS, describe_duplicate
-from coordinator.watch.observe.observer import count_exchanges
 from coordinator.watch.observe.view import OVER_S, AreaView, Extreme, View
 from dsse_core.printable import listed
 
@@ -87,20 +86,35 @@ class Watcher:
             return area in self.areas
         return area in self._received or len(self._received) < MAX_NAMES
 
-    def take_state(self, state: StateMessage, now: float, size: int = 0) -> None:
+    def take_state(self, state: StateMessage, now: float, size: int = 0) -> bool:
         """Keep ``state`` if it is of this run and as new as the area's last, or the last one's incarnation is over.
 
-        ``size``: bytes of the message.
+        ``size``: bytes of the message. Returns True where it is kept.
         """
         area = state.header.sender
         at, last = self._received.get(area, (now, state))
         if not self.has_place_for(area) or state.header.run != self.run:
-            return
-        if not is_old(state.header, last.header, now - at, OVER_S) and self._has_room(area, state.kind, size):
-            same_incarnation = state.header.incarnation == last.header.incarnation
-            self._longest_pause[area] = max(now - at, self._longest_pause.get(area, 0.0)) if same_incarnation else 0.0
-            self._received[area] = (now, state)
-            self._first_received.setdefault(area, now)
+            return False
+        is_outdated = is_old(state.header, last.header, now - at, self._silent_after_s(area))
+        if is_outdated or not self._has_room(area, state.kind, size):
+            return False
+        same_incarnation = state.header.incarnation == last.header.incarnation
+        self._longest_pause[area] = max(now - at, self._longest_pause.get(area, 0.0)) if same_incarnation else 0.0
+        self._received[area] = (now, state)
+        self._first_received.setdefault(area, now)
+        return True
+
+    def _silent_after_s(self, area: str) -> float:
+        """Time without a state of ``area``, s, after which it is silent and its incarnation over."""
+        return max(OVER_S, SILENT_PAUSES * self._longest_pause.get(area, 0.0))
+
+    def is_silent(self, area: str, now: float) -> bool:
+        """True where a state of ``area`` was received, and none for long."""
+        return area in self._received and self.age_of(area, now) > self._silent_after_s(area)
+
+    def age_of(self, area: str, now: float) -> float:
+        """Time since the last state of ``area`` was received, s; infinite where none was."""
+        return now - self._received[area][0] if area in self._received else math.inf
 
     def take_readings(self, readings: ReadingsMessage, size: int = 0) -> None:
         """Keep the readings that an area has used last; ``size``: bytes of the message."""
@@ -204,6 +218,10 @@ class Watcher:
                 if role in NOUNS and len(incarnations) > 1:
                     yield describe_duplicate(role, name, tuple(map(str, incarnations)))
 
+    def is_present(self, area: str) -> bool:
+        """True where a token of ``area`` is there."""
+        return self._presence.has("area", area)
+
     def names_of(self, role: str) -> set[str]:
         """Names of the present processes of ``role``."""
         return {name for its_role, name in self._presence.names if its_role == role}
@@ -219,8 +237,7 @@ class Watcher:
             silence = f"has left: {leave_reason}" if leave_reason else "" if present else "is gone"
             return AreaView(name, present, None, leave_reason, notes=assess_from_outside(None, silence).notes)
         at, state = self._received[name]
-        silent_after_s = max(OVER_S, SILENT_PAUSES * self._longest_pause.get(name, 0.0))
-        is_silent = now - at > silent_after_s
+        is_silent = self.is_silent(name, now)
         mismatches = [mismatch for other in state.sent if (mismatch := self._mismatch(state, other))]
         silence = f"has sent nothing for {now - at:.1f} s" if is_silent else ""
         if not present:
@@ -235,7 +252,7 @@ class Watcher:
             quality=assessment.quality,
             said_quality=state.quality,
             silent=is_silent,
-            silent_after_s=silent_after_s,
+            silent_after_s=self._silent_after_s(name),
             telemetry_age_s=round(state.telemetry_age + now - at, 3),
             ages_s={other: round(age + now - at, 3) for other, age in state.ages.items()},
             lowest_vm=_extreme(state, min(state.vm, default=None)),
@@ -281,6 +298,11 @@ class Watcher:
         if not (state.referenced and theirs.referenced):
             return vm, None
         return vm, max(abs(math.remainder(state.va[i] - theirs.va[j], 2 * math.pi)) for i, j in pairs)
+
+
+def count_exchanges(state: StateMessage) -> int:
+    """The largest number of changed messages that an area has sent to one neighbour; they are numbered from 1."""
+    return max((load + boundary for load, boundary in state.sent.values()), default=0)
 
 
 def _copy(kept: Any) -> Any:

@@ -58,7 +58,7 @@ def a_state_with(area, found: tuple[Finding, ...]) -> StateMessage:
 
 def results(found: tuple[Finding, ...], *, is_gone: bool) -> Iterator[tuple[RunResult, Watcher]]:
     """What a run and a watcher say, soon and long after the last change, with these findings in area1."""
-    observer, watcher = make_observer(SCENARIO), Watcher("run")
+    observer, watcher = make_observer(SCENARIO, "run"), Watcher("run")
     for area in SCENARIO.partition.areas:
         observer.take_presence(area.name, True, 0.0)
         watcher.take_presence(f"dsse/v3/run/live/area/{area.name}/{INCARNATION}", True)
@@ -129,7 +129,7 @@ def test_run_report_and_watcher_say_the_same_of_every_combination_of_findings(is
 
 @pytest.mark.parametrize("found", [found for found in SETS if not {f.quality for f in found} & {NONE, UNOBSERVABLE}])
 def test_an_area_whose_neighbour_publishes_another_voltage_is_not_good_even_if_it_says_so(found: tuple[Finding, ...]):
-    observer = make_observer(SCENARIO)
+    observer = make_observer(SCENARIO, "run")
     for area in SCENARIO.partition.areas:
         observer.take_presence(area.name, True, 0.0)
         state = a_state_with(area, found)

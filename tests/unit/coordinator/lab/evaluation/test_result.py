@@ -61,7 +61,7 @@ def a_result(folder: Path, missing: str | None = None, relative: str | None = No
     scenario = load_scenario("ieee33")
     telemetry = make_telemetry(scenario)
     central = process_bad_data(scenario.network, telemetry.union)
-    observer = Observer(scenario.partition, 1e-6, 1e-6, 0.2, False)
+    observer = Observer("run", scenario.partition, 1e-6, 1e-6, 0.2, False)
     for area in scenario.partition.areas:
         state = a_state_of(area, central.result, SHIFT if area.name == "area2" else 0.0)
         observer.take_presence(area.name, True, 0.0)

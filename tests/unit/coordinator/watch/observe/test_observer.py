@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from agents.messages.keys import live_key
 from agents.messages.packing import Header, Incarnation, StateMessage
 from agents.peers.freshness import PATIENCE_HEARTBEATS
 from coordinator.watch.observe.observer import Observer, Standing
 from coordinator.watch.observe.progress import describe_progress
+from coordinator.watch.observe.view import OVER_S
+from coordinator.watch.observe.watch import Watcher
 from scenarios.scenario import load_scenario
 from tests.support.shown_states import published_by
 
@@ -42,7 +46,7 @@ def watch(
 ) -> Observer:
     """An observer of agreeing states, with ``states`` in their place, and all of them ``heartbeats`` times again."""
     observer = Observer(
-        PARTITION, tolerance_va=1e-6, tolerance_vm=1e-6, heartbeat_s=HEARTBEAT_S, compare_magnitudes=magnitudes
+        "run", PARTITION, tolerance_va=1e-6, tolerance_vm=1e-6, heartbeat_s=HEARTBEAT_S, compare_magnitudes=magnitudes
     )
     for area in alive:
         observer.take_presence(area, True, 0.0)
@@ -83,7 +87,7 @@ def test_an_area_that_vanishes_is_missed_and_one_that_returns_is_waited_for():
 
 
 def test_an_area_without_a_state_keeps_the_run_from_consensus():
-    observer = Observer(PARTITION, 1e-6, 1e-6, HEARTBEAT_S, False)
+    observer = Observer("run", PARTITION, 1e-6, 1e-6, HEARTBEAT_S, False)
     observer.take_presence("area1", True, 0.0)
     assert "area1 has not shown a state" in obstacles(observer)
 
@@ -195,8 +199,8 @@ def test_an_area_restarted_with_its_clock_set_back_is_received_once_its_former_i
     last_received = 3 * HEARTBEAT_S
     earlier = a_state(AREAS[0], vm=(1.01,) * len(a_state(AREAS[0]).buses))
     earlier = replace(earlier, header=replace(earlier.header, incarnation=Incarnation(0, 7)))
-    assert not observer.take_state(earlier, last_received + PATIENCE_HEARTBEATS * HEARTBEAT_S)
-    assert observer.take_state(earlier, last_received + (PATIENCE_HEARTBEATS + 1) * HEARTBEAT_S)
+    assert not observer.take_state(earlier, last_received + OVER_S)
+    assert observer.take_state(earlier, last_received + OVER_S + HEARTBEAT_S)
     assert observer.states[AREAS[0]].vm[0] == 1.01
 
 
@@ -301,9 +305,25 @@ def test_after_a_fault_every_area_must_have_received_its_telemetry_again_which_a
 
 def test_the_state_of_an_area_that_is_gone_or_not_received_is_no_longer_good():
     observer = watch(heartbeats=0)
-    assert observer.quality_of("area1", 2 * HEARTBEAT_S) == "good"
-    assert observer.quality_of("area1", 4 * HEARTBEAT_S) == "stale"
-    observer.take_state(a_state("area1"), 4 * HEARTBEAT_S)
-    assert observer.quality_of("area1", 4 * HEARTBEAT_S) == "good"
-    observer.take_presence("area1", False, 4 * HEARTBEAT_S)
-    assert observer.quality_of("area1", 4 * HEARTBEAT_S) == "stale"
+    assert observer.quality_of("area1", OVER_S) == "good"
+    assert observer.quality_of("area1", OVER_S + HEARTBEAT_S) == "stale"
+    observer.take_state(a_state("area1"), OVER_S + HEARTBEAT_S)
+    assert observer.quality_of("area1", OVER_S + HEARTBEAT_S) == "good"
+    observer.take_presence("area1", False, OVER_S + HEARTBEAT_S)
+    assert observer.quality_of("area1", OVER_S + HEARTBEAT_S) == "stale"
+
+
+@pytest.mark.parametrize("arrivals", [(0.0,), (0.0, 0.2, 0.4), (0.0, 5.0), (0.0, 0.2, 7.0, 7.2)], ids=str)
+def test_a_run_and_a_watcher_without_its_scenario_call_an_area_silent_at_the_same_time(arrivals: tuple[float, ...]):
+    observer, watcher = Observer("run", PARTITION, 1e-6, 1e-6, HEARTBEAT_S, False), Watcher("run")
+    observer.take_presence("area1", True, 0.0)
+    watcher.take_presence(live_key("run", "area", "area1", Incarnation(1, 1)), True)
+    for at in arrivals:
+        observer.take_state(a_state("area1"), at)
+        watcher.take_state(a_state("area1"), at)
+    qualities = []
+    for at in np.arange(arrivals[-1], arrivals[-1] + 30.0, 0.1):
+        (view,) = [area for area in watcher.look(at).areas if area.name == "area1"]
+        qualities.append(observer.quality_of("area1", at))
+        assert qualities[-1] == view.quality
+    assert (qualities[0], qualities[-1]) == ("good", "stale")
