@@ -16,12 +16,11 @@ from agents.orders.order_book import BY_OPERATOR, STOPPED_CODE, OrderBook
 from agents.orders.order_file import OrderFile
 from agents.protocol.configuration import Configuration
 from agents.protocol.events import StopRequested
-from agents.runtime.duplicate_guard import REPLACED_CODE, ReplacedError
+from agents.runtime.duplicate_guard import REPLACED_CODE, ReplacedError, take_place
 from agents.runtime.inbox import Inbox
-from agents.runtime.log.format import start_log
+from agents.runtime.log import start_log
 from agents.runtime.loop import run_agent
 from agents.runtime.next_file import NextFile
-from agents.runtime.place import take_place
 from agents.runtime.renewal import Renewal, on_hangup
 from agents.runtime.watchdog import Watchdog
 from agents.security.credentials import load_keys

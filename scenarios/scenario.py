@@ -23,10 +23,16 @@ from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area, Partition
 from dsse_core.printable import printable
 from dsse_core.reading_rules import ReadingRules
-from scenarios.faults.faults import ALL_AREAS, Faults, build_faults, find_link_problems, find_name_problems
-from scenarios.faults.order import find_order_problems, find_time_problems
+from scenarios.faults.faults import (
+    ALL_AREAS,
+    Faults,
+    build_faults,
+    find_link_problems,
+    find_name_problems,
+    find_order_problems,
+    find_time_problems,
+)
 from scenarios.files.fault_tables import FaultsTable
-from scenarios.files.importable import reject_importable
 from scenarios.files.network_file import load_case, load_network
 from scenarios.files.readings.file import load_readings
 from scenarios.files.scenario_file import (
@@ -52,6 +58,8 @@ from scenarios.reading_rules import build_reading_rules, find_gateway_problems
 
 AreaBuses = Mapping[str, Sequence[int]]
 RESERVED = {ALL_AREAS, "coordinator", "operator", "plant", "recorder", "router", "router2", "watcher"}
+MARKS = {b'"_class"': "pandapower network", b'"is_batch"': "power-grid-model file"}
+LOOKED_AT = 1_000_000  # bytes at either end of a file: the marks stand near the start, or behind the data
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,3 +350,28 @@ def _build_scenario(
         reading_rules=build_reading_rules(file, partition, meters),
         record=file.record,
     )
+
+
+def reject_importable(path: Path) -> None:
+    """Rejects a ``path`` given as a scenario file where ``dsse import`` takes the file.
+
+    Raises:
+        InvalidInputError: with the kind of the file, and the command.
+    """
+    kind = _kind_of(path)
+    if kind:
+        command = f"dsse import {path} --out DIR"
+        problem = f"is a {kind}, no scenario file; `{command}` makes one of it, then `dsse run DIR/scenario.toml`"
+        raise InvalidInputError(str(path), [problem])
+
+
+def _kind_of(path: Path) -> str | None:
+    if path.suffix == ".m":
+        return "MATPOWER case"
+    if path.suffix != ".json" or not path.is_file():
+        return None
+    with path.open("rb") as file:
+        text = file.read(LOOKED_AT)
+        file.seek(max(LOOKED_AT, path.stat().st_size - LOOKED_AT))
+        text += file.read(LOOKED_AT)
+    return next((kind for mark, kind in MARKS.items() if mark in text), None)

@@ -47,11 +47,10 @@ from agents.protocol.events import (
 )
 from agents.runtime.duplicate_guard import GIVES_WAY, DuplicateGuard, ReplacedError
 from agents.runtime.heap import Heap
-from agents.runtime.host_clock import HostClock
 from agents.runtime.inbox import Inbox
 from agents.runtime.ingress_filter import IngressFilter
 from agents.runtime.link import FaultyLinks
-from agents.runtime.log.changes import ChangeLog
+from agents.runtime.log import ChangeLog
 from agents.runtime.next_file import NextFile
 from agents.runtime.presence import Presence, begin_incarnation, read_leave
 from agents.runtime.renewal import Renewal
@@ -60,7 +59,38 @@ from agents.transport.renewable_bus import Declaration
 from agents.transport.zenoh_bus import Session
 from dsse_core.grid.measurement import Source
 
+LEAST_STEP_S = 1e-3  # a smaller change of the clock is not reported
+QUICK_S = 1e-4  # two clocks read in a longer time were not read at one moment: the process was interrupted
 log = logging.getLogger(__name__)
+
+
+class HostClock:
+    """``offset``: from monotonic to wall-clock time, s.
+
+    Args:
+        error_s: injected fault: lead of the clock, s.
+    """
+
+    def __init__(self, error_s: float = 0.0) -> None:
+        self._error_s = error_s
+        self.offset = self._read()[0]
+
+    def has_been_set(self) -> bool:
+        """True where the clock has been set since the last call; ``offset`` is then the new one.
+
+        False where the two clocks could not be read at one moment; a later call finds the change.
+        """
+        offset, is_certain = self._read()
+        if not is_certain or abs(offset - self.offset) <= LEAST_STEP_S:
+            return False
+        self.offset = offset
+        return True
+
+    def _read(self) -> tuple[float, bool]:
+        """The offset, and whether both clocks were read at one moment."""
+        before = time.monotonic()
+        wall = time.time()
+        return wall + self._error_s - before, time.monotonic() - before < QUICK_S
 
 
 @dataclass(frozen=True, slots=True)

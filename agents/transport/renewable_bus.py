@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Protocol, Self
 
-from agents.security.credentials import Keys
-from agents.security.expiry import ExpiryWatch
+from agents.security.credentials import ExpiryWatch, Keys
 from dsse_core.errors import InvalidInputError
 
 log = logging.getLogger(__name__)

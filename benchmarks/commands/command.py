@@ -3,24 +3,85 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from benchmarks.commands.cost import Cost, measure
-from benchmarks.commands.growth import find_exponent, find_n_log_n
-from benchmarks.commands.sizes import BUSES_OF_AN_AREA, SEED, count_areas
+from benchmarks.commands.inputs import BUSES_OF_AN_AREA, SEED, count_areas
 from benchmarks.measuring.figures import figures_option, write_section
 from benchmarks.measuring.machine import describe_machine
 
+STEEPEST = 6.0
+LEAST_GROWTH = 0.05  # from the first of three points to the second, of the first: less is chance
 PACKAGES = ("numpy", "scipy", "pydantic", "numba", "consensus-dsse")
 LEEWAY = 0.15  # of an exponent: its scatter on a machine with other work
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """``cpu_s``: user and system time; ``peak_mib``: largest resident memory of one process."""
+
+    cpu_s: float
+    peak_mib: float
+
+
+def measure(arguments: Sequence[str], folder: Path) -> Cost:
+    """Run ``dsse`` with ``arguments`` in ``folder`` to its end.
+
+    Raises:
+        click.ClickException: it fails; with its last lines.
+    """
+    errors = folder / "errors.txt"
+    with errors.open("w", encoding="utf-8") as err:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "coordinator", *arguments],
+            cwd=folder,
+            stdout=subprocess.DEVNULL,
+            stderr=err,
+            env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+        )
+        _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        last = errors.read_text(encoding="utf-8", errors="replace")[-500:]
+        raise click.ClickException(f"dsse {' '.join(arguments)} ended with {process.returncode}: {last}")
+    return Cost(usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
+
+
+def find_exponent(sizes: Sequence[int], figures: Sequence[float]) -> float | None:
+    """The k of ``a + b n^k`` through the last three points, whose start-up ``a`` cancels; None if there is no such
+    k.
+    """
+    if len(sizes) < 3 or len(sizes) != len(figures):
+        return None
+    (n1, n2, n3), (f1, f2, f3) = sizes[-3:], figures[-3:]
+    if not (f1 * (1 + LEAST_GROWTH) < f2 < f3):
+        return None
+    wanted = (f3 - f2) / (f2 - f1)
+
+    def ratio(k: float) -> float:
+        return float((n3**k - n2**k) / (n2**k - n1**k))
+
+    low, high = 1e-3, STEEPEST
+    if not ratio(low) < wanted < ratio(high):
+        return None
+    while high - low > 1e-4:
+        middle = (low + high) / 2
+        low, high = (middle, high) if ratio(middle) < wanted else (low, middle)
+    return low
+
+
+def find_n_log_n(sizes: Sequence[int]) -> float | None:
+    """The exponent that ``n log n`` has through the same points."""
+    return find_exponent(sizes, [n * math.log(n) for n in sizes])
 
 
 @dataclass(frozen=True, slots=True)

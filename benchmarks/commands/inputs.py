@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from benchmarks.commands.sizes import SEED, count_areas
 from dsse_core.grid.network import Control, Network
 from scenarios.files.readings.file import save_readings
 from scenarios.files.saved_network import name_network_file, save_network
@@ -13,8 +12,14 @@ from scenarios.generate.generated_files import write_generated
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
+BUSES_OF_AN_AREA = 500
+SEED = 7
 NETWORK = "network.json"
 SLACK_TYPE, LOAD_TYPE = 3, 1
+
+
+def count_areas(n_bus: int) -> int:
+    return max(2, n_bus // BUSES_OF_AN_AREA)
 
 
 def write_inputs(folder: Path, n_bus: int) -> None:

@@ -36,7 +36,7 @@ def record(address: RunAddress, out: Path | None, limit_gb: float | None, scenar
     Examples:  dsse record --scenario ieee33
                dsse record --connect tcp/192.0.2.7:7447 --out /var/lib/dsse --limit-gb 20
     """
-    from agents.runtime.log.format import start_log
+    from agents.runtime.log import start_log
     from coordinator.lab.deployment.split import area_files
     from coordinator.lab.evaluation.evaluation import choose_scenario
     from coordinator.watch.observe.attachment import join_run

@@ -157,7 +157,7 @@ def metrics(
     from coordinator.watch.metrics.serve import check_prometheus, serve_metrics
 
     check_prometheus()
-    from agents.runtime.log.format import start_log
+    from agents.runtime.log import start_log
     from coordinator.watch.listen import parse_listen
     from coordinator.watch.metrics.page import MetricsPage
     from coordinator.watch.observe.attachment import attach

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.runtime.duplicate_guard import REPLACED_CODE, ReplacedError
-from agents.runtime.log.format import start_log
+from agents.runtime.log import start_log
 from agents.runtime.presence import begin_incarnation
 from agents.runtime.renewal import on_hangup
 from agents.runtime.watchdog import Watchdog

@@ -16,7 +16,7 @@ from agents.orders.order_book import BY_OPERATOR, STOPPED_CODE, OrderBook
 from agents.protocol.events import Event, Ordered, StopRequested
 from agents.runtime.duplicate_guard import GIVES_WAY, REPLACED_CODE, DuplicateGuard, ReplacedError
 from agents.runtime.inbox import Inbox
-from agents.runtime.log.format import start_log
+from agents.runtime.log import start_log
 from agents.runtime.presence import begin_incarnation
 from agents.runtime.renewal import Renewal, on_hangup
 from agents.runtime.watchdog import Watchdog

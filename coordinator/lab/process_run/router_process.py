@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from agents.runtime.inbox import Inbox
-from agents.runtime.log.format import start_log
+from agents.runtime.log import start_log
 from agents.runtime.renewal import Renewal, on_hangup
 from agents.runtime.watchdog import Watchdog
 from agents.security.access import ROUTER, Access

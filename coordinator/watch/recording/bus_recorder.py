@@ -12,7 +12,7 @@ from pathlib import Path
 from threading import Event
 
 from agents.messages.keys import all_gateways, publisher_of
-from agents.runtime.log.format import start_log
+from agents.runtime.log import start_log
 from agents.runtime.presence import read_leave
 from agents.runtime.renewal import on_hangup
 from agents.runtime.watchdog import Watchdog

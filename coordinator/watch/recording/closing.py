@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from agents.runtime.log.format import start_log
+from agents.runtime.log import start_log
 from coordinator.watch.recording.entries import read_entries
 from coordinator.watch.recording.folder import (
     LOG,

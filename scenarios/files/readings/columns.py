@@ -1,24 +1,132 @@
-"""Column-by-column reader of a readings file without a mistake: that of a large grid has half a million rows."""
+"""Column-by-column reader of a readings file without a mistake: that of a large grid has half a million rows.
+
+Cells and meter ids are found all at once, by their positions and letter by letter.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from dsse_core.grid.columns import Records, find_distinct
+from dsse_core.grid.columns import Records, find_distinct, rows_of_texts
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
-from dsse_core.grid.meter_table import each_fits, number_meters
+from dsse_core.grid.meter_table import KINDS, each_fits, make_meters, number_meters
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
-from scenarios.files.readings.cells import split_cells
-from scenarios.files.readings.meter_ids import read_meter_ids
-from scenarios.files.readings.rows import ReadingRows
+from scenarios.files.readings.rows import LONGEST_BUS, ReadingRows
 from scenarios.files.readings.units import RANGES, UNITS
 
+UNKNOWN = -1
 KIND = MeasurementKind
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Rows with a cell for each of ``titles``: begin and end of each cell in ``raw``, (n_row, n_column)."""
+
+    titles: list[str]
+    raw: bytes
+    start: np.ndarray
+    end: np.ndarray
+
+    @cached_property
+    def are_filled(self) -> np.ndarray:
+        """True where a cell is not empty, (n_row, n_column)."""
+        return np.asarray(self.end > self.start)
+
+    @cached_property
+    def filled(self) -> list[bytes]:
+        """Contents of the cells that are not empty, row by row."""
+        rows = self.raw[self.raw.index(b"\n") + 1 :]
+        return list(filter(None, rows.replace(b",", b"\n").split(b"\n")))
+
+
+def split_cells(text: str) -> Cells | None:
+    """The cells of ``text``; None where they are not plain.
+
+    Cells are plain where ``text`` is CSV, all rows have the length of the first, and no cell contains a comma or a line
+    end.
+    """
+    text = text if '"' in text else text.replace("\r\n", "\n").removesuffix("\n")
+    if '"' in text or "\r" in text or "\n\n" in f"\n{text}":  # quoted cells, other line ends, empty lines
+        if (plain := _write_plain(text)) is None:
+            return None
+        text = plain
+    raw = f"{text}\n".encode()
+    titles = text.partition("\n")[0].split(",")
+    letters = np.frombuffer(raw, np.uint8)
+    end = np.flatnonzero((letters == ord(",")) | (letters == ord("\n")))
+    if len(end) % len(titles):
+        return None
+    ends_line = (letters[end] == ord("\n")).reshape(-1, len(titles))
+    if ends_line[:, :-1].any() or not ends_line[:, -1].all():
+        return None
+    start = np.append(0, end[:-1] + 1)
+    return Cells(titles, raw, start.reshape(ends_line.shape)[1:], end.reshape(ends_line.shape)[1:])
+
+
+def _write_plain(text: str) -> str | None:
+    """The same table without quotes and empty lines; None where it is not plain."""
+    try:
+        rows = [row for row in csv.reader(io.StringIO(text, newline=""), strict=True) if row]
+    except csv.Error:
+        return None
+    lines = list(map(",".join, rows))
+    plain, lengths = "\n".join(lines), set(map(len, rows))
+    is_plain = len(lengths) == 1 and plain.count(",") == len(rows) * (lengths.pop() - 1)
+    return plain if is_plain and plain.count("\n") == len(rows) - 1 and "\r" not in plain else None
+
+
+def read_meter_ids(raw: bytes, start: np.ndarray, end: np.ndarray, network: Network) -> Records[Meter] | None:
+    """The meters whose ids stand between ``start`` and ``end`` (n,) of ``raw``, UTF-8; None where a text is no id.
+
+    Places that ``network`` does not have are not rejected here.
+    """
+    letters = np.frombuffer(raw, np.uint8)
+    at = _find_first(letters, "@", start)
+    if (at >= end).any():
+        return None
+    colon = np.minimum(_find_first(letters, ":", at), end)
+    kind, bus = _read_kinds(letters, start, at), _read_buses(letters, at + 1, colon)
+    if (kind == UNKNOWN).any() or (bus == UNKNOWN).any():
+        return None
+    branches = [raw[a:b] or None for a, b in zip((colon + 1).tolist(), end.tolist(), strict=True)]
+    return make_meters(network, kind, bus, rows_of_texts(map(str.encode, network.branch_ids), branches))
+
+
+def _find_first(letters: np.ndarray, wanted: str, start: np.ndarray) -> np.ndarray:
+    """The place of the first letter ``wanted`` from each ``start`` (n,) on; past the end where there is none."""
+    places = np.append(np.flatnonzero(letters == ord(wanted)), len(letters))
+    found: np.ndarray = places[np.searchsorted(places, start)]
+    return found
+
+
+def _read_kinds(letters: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """The positions in KINDS of the names between ``start`` and ``end`` (n,); UNKNOWN where a name is no kind."""
+    kind = np.full(len(start), UNKNOWN)
+    for k, name in enumerate(KINDS):
+        alike = np.flatnonzero(end - start == len(name))
+        for i, letter in enumerate(name):
+            alike = alike[letters[start[alike] + i] == ord(letter)]
+        kind[alike] = k
+    return kind
+
+
+def _read_buses(letters: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Whole numbers between ``start`` and ``end`` (n,); UNKNOWN where a text is no number or too long for a bus."""
+    length = end - start
+    number = np.where((length > 0) & (length <= LONGEST_BUS), 0, UNKNOWN)
+    for i in range(min(int(length.max()), LONGEST_BUS)):
+        here = np.flatnonzero((length > i) & (number != UNKNOWN))
+        digit = letters[start[here] + i].astype(np.int64) - ord("0")
+        number[here] = np.where((digit >= 0) & (digit <= 9), 10 * number[here] + digit, UNKNOWN)
+    return number
 
 
 @dataclass(frozen=True)

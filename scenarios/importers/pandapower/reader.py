@@ -31,10 +31,9 @@ from scenarios.importers.imported import (
 )
 from scenarios.importers.matpower.program import BASE_KV, BR_R, BR_X, PD, QD
 from scenarios.importers.matpower.reader import BR_B, BS, BUS_I, F_BUS, GS, SHIFT, T_BUS, TAP
-from scenarios.importers.pandapower.checks import find_broken, find_constant_currents, find_unsupported
+from scenarios.importers.pandapower.checks import find_broken, find_constant_currents, find_unread, find_unsupported
 from scenarios.importers.pandapower.measurements import Conversion, find_metered_branches, read_measurements
 from scenarios.importers.pandapower.objects import write_anew
-from scenarios.importers.pandapower.unread import find_unread
 
 BRANCHES = ("line", "trafo", "impedance", "switch")
 COUNTED = ("line", "trafo", "impedance", "load", "gen", "shunt", "ward", "motor", "storage")

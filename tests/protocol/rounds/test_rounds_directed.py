@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agents.messages.packing import DownMessage, HeartbeatMessage, Incarnation, UpMessage
-from agents.peers.round_trip import LEAST_WAIT_S
+from agents.peers.peers import LEAST_WAIT_S
 from agents.protocol.events import PresenceChanged, Received
 from agents.protocol.numbering import MOST_AHEAD
 from agents.protocol.quality import GOOD

@@ -9,7 +9,7 @@ import pytest
 
 from agents.messages.packing import TelemetryMessage
 from agents.protocol.events import Action, Conclude, Event
-from agents.runtime.log.changes import ChangeLog
+from agents.runtime.log import ChangeLog
 from tests.support.ticking import SCAN_S, Ticking, by_clock
 
 SCANS = 10
@@ -19,7 +19,7 @@ class Logs:
     """What the agents of ``run`` write; ``ends``: all that their protocols conclude."""
 
     def __init__(self, run: Ticking, caplog: pytest.LogCaptureFixture) -> None:
-        caplog.set_level("INFO", "agents.runtime.log.changes")
+        caplog.set_level("INFO", "agents.runtime.log")
         self._caplog = caplog
         self.ends: list[Conclude] = []
         self._lines: dict[str, list[str]] = {}

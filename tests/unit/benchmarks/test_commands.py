@@ -5,9 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.commands.command import COMMANDS, _format_rows
-from benchmarks.commands.cost import Cost
-from benchmarks.commands.growth import find_exponent, find_n_log_n
+from benchmarks.commands.command import COMMANDS, Cost, _format_rows, find_exponent, find_n_log_n
 from benchmarks.commands.inputs import write_inputs
 from dsse_core.files.strict_table import load_strict
 from scenarios.files.scenario_file import ScenarioFile

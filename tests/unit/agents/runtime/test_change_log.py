@@ -8,7 +8,7 @@ import random
 import pytest
 
 from agents.protocol.events import Conclude
-from agents.runtime.log.changes import FIRST_WAIT_S, LONGEST_WAIT_S, ChangeLog
+from agents.runtime.log import FIRST_WAIT_S, LONGEST_WAIT_S, ChangeLog
 
 ESTIMATES = ("estimates", "")
 

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from agents.runtime.host_clock import LEAST_STEP_S, HostClock
+from agents.runtime.loop import LEAST_STEP_S, HostClock
 
 
 @pytest.fixture

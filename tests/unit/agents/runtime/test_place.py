@@ -12,8 +12,7 @@ from agents.area_files.area_file import AreaFile
 from agents.area_files.split_digest import stamp_split
 from agents.messages.keys import live_key, split_of
 from agents.messages.packing import Incarnation
-from agents.runtime.duplicate_guard import OVERLAP_S, ReplacedError
-from agents.runtime.place import take_place
+from agents.runtime.duplicate_guard import OVERLAP_S, ReplacedError, take_place
 from coordinator.lab.deployment.split import area_files
 from dsse_core.split_identity import NO_SPLIT
 from scenarios.scenario import load_scenario

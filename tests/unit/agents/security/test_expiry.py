@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from agents.security import expiry
 from agents.security.access import Access
 from agents.security.credential_files import Credentials, credentials_in
-from agents.security.expiry import ExpiryWatch, describe_expiry
+from agents.security.credentials import ExpiryWatch, describe_expiry
 from coordinator.lab.deployment.certificates import create_keys
 from tests.support.waiting import wait_until
 
@@ -46,9 +45,9 @@ def test_what_cannot_be_read_is_not_reported_here(tmp_path: Path):
 def test_it_is_reported_at_the_start_and_again_until_it_is_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
-    monkeypatch.setattr(expiry, "DAY_S", 0.001)
-    monkeypatch.setattr(expiry, "AHEAD", datetime.timedelta(days=1000))
-    monkeypatch.setattr(expiry, "SHARE", 0.5)
+    monkeypatch.setattr("agents.security.credentials.DAY_S", 0.001)
+    monkeypatch.setattr("agents.security.credentials.AHEAD", datetime.timedelta(days=1000))
+    monkeypatch.setattr("agents.security.credentials.SHARE", 0.5)
     watch = ExpiryWatch(keys_for(tmp_path / "keys", days=1))
     assert len(caplog.records) >= 2
     wait_until(lambda: len(caplog.records) >= 6)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from agents.runtime.log.format import PrintableFormatter
+from agents.runtime.log import PrintableFormatter
 from coordinator.lab.evaluation.result import RunResult
 from coordinator.lab.simulator.simulate import simulate_scenario
 from coordinator.show.figures.draw_areas import draw_areas

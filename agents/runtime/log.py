@@ -1,7 +1,8 @@
-"""An agent's log of facts about its area: each fact when it begins and when it ends to hold, not in every scan.
+"""The log of a process: printable lines, and facts about an area when they change.
 
-A fact that changes all the time is logged ever more rarely, in the end once a day, so a log of months stays short. The
-change of a fact that was the same for a day is logged at once.
+A fact is logged when it begins and when it ends to hold, not in every scan. A fact that changes all the time is logged
+ever more rarely, in the end once a day, so a log of months stays short. The change of a fact that was the same for a
+day is logged at once.
 """
 
 from __future__ import annotations
@@ -10,11 +11,28 @@ import logging
 from dataclasses import dataclass
 
 from agents.protocol.events import Conclude
+from dsse_core.printable import printable
 
 log = logging.getLogger(__name__)
 FIRST_WAIT_S = 10.0  # from one logged change of a fact to the next of the same fact; doubled each time, up to
 LONGEST_WAIT_S = 86_400.0
 MOST_KEPT = 20_000  # facts that are kept: two of each meter of a large area
+
+
+class PrintableFormatter(logging.Formatter):
+    """Escapes control characters, which a terminal would obey: names and notes in a record come from the bus."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        """The line of ``record``; the traceback of a defect, if there is one, follows on lines of its own."""
+        return printable(super().formatMessage(record))
+
+
+def start_log() -> None:
+    """Log to standard error; for the entry points of processes. A log that cannot be written ends none of them."""
+    logging.raiseExceptions = False
+    handler = logging.StreamHandler()
+    handler.setFormatter(PrintableFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
 
 
 @dataclass(slots=True)

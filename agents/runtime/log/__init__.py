@@ -1,1 +1,0 @@
-"""The log of a process: its content and its format."""
