@@ -1,5 +1,6 @@
 """Sphinx builds the site of these pages: ``sphinx-build -W --keep-going -n docs build/docs``."""
 
+import re
 from importlib.metadata import version as version_of
 
 from sphinx.application import Sphinx
@@ -27,5 +28,13 @@ def keep_bars(app: Sphinx, what: str, name: str, obj: object, options: object, l
     lines[:] = [line.replace("|", r"\|") for line in lines]
 
 
+def read_markdown_of_keys(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Meanings of keys of files are Markdown, as the reference pages have them: code spans become literals."""
+    if what == "attribute":
+        text = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", "\n".join(lines))
+        lines[:] = re.sub(r"(?<!`)`([^`]+)`(?![`_])", r"``\1``", text).split("\n")
+
+
 def setup(app: Sphinx) -> None:
+    app.connect("autodoc-process-docstring", read_markdown_of_keys)
     app.connect("autodoc-process-docstring", keep_bars)

@@ -1,4 +1,4 @@
-"""Bad data of the whole feeder: the areas' parts of the centralised test, which are added up along the tree of areas.
+"""Part of an area in the tests of the whole feeder: J, degrees of freedom, observability, critical meters at no load.
 
 At the end of the exact exchange the areas' J and degrees of freedom add up to those of the centralised estimate, and
 their normalised residuals are the same. So a sum and a maximum along the tree lead to the same verdicts (``decision``).
