@@ -1,4 +1,4 @@
-"""States that areas publish of one scan, kept for a replay."""
+"""The state of a scan: of all states that an area publishes of it, the one that stands for the scan."""
 
 from __future__ import annotations
 
@@ -8,9 +8,17 @@ from agents.messages.packing import StateMessage
 from agents.protocol.quality import GOOD
 
 
+def stands_for_scan(quality: str, last: str) -> bool:
+    """True where a state of ``quality`` stands for its scan in place of an earlier one of quality ``last``; "": none.
+
+    The last good state stands for the scan, else the last one.
+    """
+    return quality == GOOD or last != GOOD
+
+
 class ScanStates:
-    """The best state of each area of ``scan``: the last good one, else the last. ``changed_at``: time of the last
-    change of estimate or quality, s.
+    """The state of each area that stands for ``scan``. ``changed_at``: time of the last change of estimate or quality,
+    s.
     """
 
     def __init__(self, scan: int, began_at: float) -> None:
@@ -26,7 +34,7 @@ class ScanStates:
         last = self.best.get(name)
         if last is None or last.header.order != state.header.order or last.quality != state.quality:
             self.changed_at = at
-        if last is None or state.quality == GOOD or last.quality != GOOD:
+        if stands_for_scan(state.quality, last.quality if last else ""):
             self.best[name] = state
 
     def are_good(self, names: Iterable[str]) -> bool:

@@ -10,19 +10,11 @@ from agents.area_files.area_file import AreaFile
 from agents.messages.keys import live_key
 from agents.messages.packing import Header, Incarnation, Message, ReadingsMessage, StateMessage
 from coordinator.lab.simulator.subscriber import Subscriber
+from coordinator.watch.replay.recorded_messages import MOST_VALUES, Presence, Update, count_values
 
-MOST_VALUES = 2_000_000  # buses and meters of all updates together: some hundred megabytes
 MOST_MESSAGES = 200_000  # between areas
 WAYS = 2  # a message counts as lost after this multiple of the longest travel time so far
 IN_SIMULATION = Incarnation(1, 1)  # in the presence tokens of the areas of a simulation
-
-
-@dataclass(frozen=True, slots=True)
-class Presence:
-    """The appearance or the end of the presence token ``key``."""
-
-    key: str
-    alive: bool
 
 
 @dataclass(slots=True)
@@ -34,9 +26,6 @@ class Sent:
     kind: str
     at: float
     arrived: float | None = None
-
-
-Update = StateMessage | ReadingsMessage | Presence
 
 
 @dataclass
@@ -103,13 +92,3 @@ class Play(Subscriber):
 
 def _identify(header: Header, receiver: str, kind: str) -> tuple[object, ...]:
     return header.sender, receiver, kind, header.sequence, header.time
-
-
-def count_values(item: Update) -> int:
-    """Number of buses or meters in ``item``."""
-    match item:
-        case StateMessage():
-            return len(item.buses)
-        case ReadingsMessage():
-            return len(item.meters)
-    return 0

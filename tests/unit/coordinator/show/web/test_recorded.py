@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from agents.messages.keys import live_key
-from coordinator.show.web.playback import recorded
 from coordinator.show.web.playback.recorded import play_recording
 from coordinator.watch.recording import rows
 from coordinator.watch.recording.closing import close_ended
@@ -112,7 +111,7 @@ def _without(made: Iterable[rows.Row], count: int) -> Iterator[rows.Row]:
 
 
 def test_of_a_long_recording_the_newest_part_is_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(recorded, "MOST_UPDATES", 8)
+    monkeypatch.setattr("coordinator.watch.replay.recorded_messages.MOST_UPDATES", 8)
     notes: list[str] = []
     source = play_recording(write(tmp_path / "r", closed=False), None, notes)
     assert notes == ["the recording is long: its newest part is played"]

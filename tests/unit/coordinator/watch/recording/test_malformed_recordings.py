@@ -16,14 +16,13 @@ import pytest
 
 from coordinator.cli.main import run_command
 from coordinator.lab.stages.play import play_on_simulator
-from coordinator.show.web.playback import recorded
 from coordinator.show.web.playback.recorded import play_recording
 from coordinator.watch.recording import frames
 from coordinator.watch.recording.closing import close_ended
 from coordinator.watch.recording.frames import MAGIC, MARK, frame
 from coordinator.watch.recording.row_checks import TYPES
 from coordinator.watch.recording.rows import COLUMNS
-from coordinator.watch.replay import ticks
+from coordinator.watch.replay import recorded_messages, ticks
 from coordinator.watch.replay.replay import _find_hole
 from coordinator.watch.replay.ticks import Tick, read_ticks
 from dsse_core.errors import InvalidInputError
@@ -72,7 +71,7 @@ def test_the_good_recordings_have_no_note(good_recordings: dict[bool, Path]) -> 
 
 
 def test_every_column_that_is_read_back_has_a_type_of_the_wire() -> None:
-    for needed in (ticks.NEEDED, recorded.NEEDED):
+    for needed in (ticks.NEEDED, recorded_messages.NEEDED):
         for table, columns in needed.items():
             assert {*columns} <= TYPES[table].keys() <= COLUMNS[table].keys()
 
