@@ -12,9 +12,6 @@ from dsse_core.files.drafts import whole_file
 
 FORMAT = 1
 
-AreaFile = Configuration
-"""The configuration of an area, as a file holds it."""
-
 
 def save_area_file(path: Path, content: Configuration) -> None:
     """Write ``content`` to ``path`` as TOML, or as JSON where the name ends so; JSON is written and read much faster.

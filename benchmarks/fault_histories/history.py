@@ -14,9 +14,9 @@ from functools import partial
 
 import numpy as np
 
-from agents.area_files.area_file import AreaFile
 from agents.area_files.split_digest import stamp_split
 from agents.messages.packing import StateMessage
+from agents.protocol.configuration import Configuration
 from agents.protocol.quality import GOOD
 from coordinator.lab.simulator.simulator import SimulatedBus
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
@@ -75,14 +75,14 @@ class World:
         seed: int,
         strategy: str = "information",
         heartbeat_s: float = HEARTBEAT_S,
-    ) -> list[AreaFile]:
+    ) -> list[Configuration]:
         """Area file of every area's agent, with every meter of the area that is read in any scan."""
         meters = {
             name: list(dict.fromkeys(m.meter for scan in self.telemetry for m in scan[name]))
             for name in self.telemetry[0]
         }
         files = [
-            AreaFile(
+            Configuration(
                 run="history",
                 area=area,
                 meters=tuple(meters[area.name]),

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.keys import live_key, readings_key, state_key
 from agents.messages.packing import Header, Incarnation, ReadingsMessage, StateMessage, encode
+from agents.protocol.configuration import Configuration
 from coordinator.lab.deployment.split import area_files
 from coordinator.lab.simulator.simulator import STARTED_AT, SimulatedBus
 from coordinator.watch.recording.entries import APPEARED, MESSAGE, Entry
@@ -24,11 +24,13 @@ AT = 1_700_000_000.0  # s since 1970, within an hour UTC
 ME = Incarnation(1_700_000_000_000, 7)
 
 
-def load_areas_of(scenario: Scenario | None = None) -> list[AreaFile]:
+def load_areas_of(scenario: Scenario | None = None) -> list[Configuration]:
     return area_files(scenario or load_scenario("ieee33"), RUN, ["tcp/127.0.0.1:7447"])
 
 
-def make_state(content: AreaFile, scan: int = 1, sequence: int = 1, at: float = AT, **fields: object) -> StateMessage:
+def make_state(
+    content: Configuration, scan: int = 1, sequence: int = 1, at: float = AT, **fields: object
+) -> StateMessage:
     """A state of an area all of whose buses have 1 p.u."""
     buses = tuple(bus.id for bus in content.area.network.buses)
     zeros = (0.0,) * len(buses)
@@ -52,7 +54,7 @@ def make_state(content: AreaFile, scan: int = 1, sequence: int = 1, at: float = 
     return StateMessage(header=header, **{**known, **fields})  # type: ignore[arg-type]
 
 
-def make_readings(content: AreaFile, scan: int = 1, sequence: int = 1, at: float = AT) -> ReadingsMessage:
+def make_readings(content: Configuration, scan: int = 1, sequence: int = 1, at: float = AT) -> ReadingsMessage:
     meters = tuple(meter.id for meter in content.meters)
     header = Header(RUN, content.area.name, ME, scan, sequence, at)
     values = tuple(0.1 * k for k in range(len(meters)))

@@ -8,7 +8,6 @@ import itertools
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
-from agents.area_files.area_file import AreaFile
 from agents.area_files.split_digest import stamp_split
 from agents.messages.packing import (
     DownMessage,
@@ -20,6 +19,7 @@ from agents.messages.packing import (
     TelemetryMessage,
     UpMessage,
 )
+from agents.protocol.configuration import Configuration
 from agents.protocol.events import Conclude, Event, PresenceChanged, Publish, Received
 from agents.protocol.quality import GOOD
 from agents.protocol.rounds import RoundsProtocol
@@ -52,13 +52,13 @@ RoundsMessage = UpMessage | DownMessage | HeartbeatMessage
 
 
 @functools.cache
-def files_of(tree: str) -> dict[str, AreaFile]:
+def files_of(tree: str) -> dict[str, Configuration]:
     """Every area of one of ``TREES`` has one meter."""
     network = load_scenario("ieee33").network
     files = {}
     for area in build_partition(network, TREES[tree]).areas:
         meter = Meter(MeasurementKind.VM, area.network.buses[-1].id)
-        files[area.name] = AreaFile("toy", area, (meter,), "information", ("tcp/127.0.0.1:0",), beat_s=HEARTBEAT_S)
+        files[area.name] = Configuration("toy", area, (meter,), "information", ("tcp/127.0.0.1:0",), beat_s=HEARTBEAT_S)
     return dict(zip(files, stamp_split(list(files.values()), time=0.0), strict=True))
 
 

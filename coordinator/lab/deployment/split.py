@@ -7,8 +7,9 @@ import time as clock
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from agents.area_files.area_file import AreaFile, save_area_file
+from agents.area_files.area_file import save_area_file
 from agents.area_files.split_digest import stamp_split
+from agents.protocol.configuration import Configuration
 from dsse_core.endpoints import check_endpoints
 from dsse_core.reading_rules import DEFAULT_RULES
 from dsse_core.split_identity import SplitIdentity
@@ -21,7 +22,7 @@ def area_files(
     endpoints: Sequence[str],
     area_endpoints: Mapping[str, str] | None = None,
     time: float | None = None,
-) -> list[AreaFile]:
+) -> list[Configuration]:
     """Content of each area's file, in scenario order.
 
     ``endpoints``: of the routers. ``area_endpoints``: instead of these, area -> the endpoint that it listens on; of two
@@ -31,7 +32,7 @@ def area_files(
     partition = scenario.partition
     meters = partition.meters_by_area(scenario.meters)
     files = [
-        AreaFile(
+        Configuration(
             run=run,
             area=area,
             meters=meters[area.name],

@@ -10,10 +10,11 @@ import contextlib
 import tempfile
 from pathlib import Path
 
-from agents.area_files.area_file import AreaFile, save_area_file
+from agents.area_files.area_file import save_area_file
 from agents.area_files.reader import load_area_file
 from agents.area_files.split_digest import stamp_split
 from agents.messages.packing import decode, encode
+from agents.protocol.configuration import Configuration
 from agents.strategies.installed import list_strategies
 from coordinator.lab.simulator.simulator import SimulatedBus
 from dsse_core.files.drafts import draft_folder, remove_leftovers
@@ -46,7 +47,8 @@ def _estimate(strategy: str, partition: Partition) -> dict[str, str]:
     remove_leftovers(temporary, PREFIX)
     with draft_folder(temporary, PREFIX) as folder:
         made = [
-            AreaFile("rehearsal", area, meters[area.name], strategy, ("tcp/127.0.0.1:0",)) for area in partition.areas
+            Configuration("rehearsal", area, meters[area.name], strategy, ("tcp/127.0.0.1:0",))
+            for area in partition.areas
         ]
         for content in stamp_split(made, time=0.0):
             path = folder / f"{content.area.name}.json"

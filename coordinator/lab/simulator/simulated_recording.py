@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.keys import live_key, readings_key, state_key
 from agents.messages.packing import NO_INCARNATION, ReadingsMessage, StateMessage, encode
+from agents.protocol.configuration import Configuration
 from coordinator.lab.simulator.subscriber import Subscriber
 from coordinator.watch.recording.closing import close_recording, remove_oldest
 from coordinator.watch.recording.entries import APPEARED, MESSAGE, VANISHED, Entry
@@ -27,7 +27,7 @@ class SimulatedRecording(Subscriber):
         self._stack = ExitStack()
         self._recorder: Recorder | None = None
 
-    def begin(self, run: str, files: Sequence[AreaFile]) -> None:
+    def begin(self, run: str, files: Sequence[Configuration]) -> None:
         self._run = run
         self._stack.enter_context(begin_writing(self._folder, run, files))
         log = SegmentLog(self._folder, self._limit)

@@ -18,7 +18,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar, cast
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.checks import MessageError
 from agents.messages.packing import (
     MAX_NEIGHBOUR_BYTES,
@@ -33,6 +32,7 @@ from agents.messages.packing import (
 )
 from agents.protocol.area_protocol import AreaProtocol
 from agents.protocol.choose import make_protocol
+from agents.protocol.configuration import Configuration
 from agents.protocol.events import (
     ClockSet,
     Event,
@@ -93,7 +93,7 @@ class SimulatedBus:
 
     def __init__(
         self,
-        files: Sequence[AreaFile],
+        files: Sequence[Configuration],
         telemetry: Mapping[str, Sequence[Measurement]],
         on_state: Callable[[float, StateMessage], None] = lambda at, state: None,
         on_presence: Callable[[float, str, bool], None] = lambda at, area, alive: None,
@@ -104,7 +104,7 @@ class SimulatedBus:
         self.now = 0.0
         self.scan = 0
         self.files = {content.area.name: content for content in files}
-        self.next_files: dict[str, AreaFile] = {}  # area -> the file of the next split beside its file
+        self.next_files: dict[str, Configuration] = {}  # area -> the file of the next split beside its file
         self.states: dict[str, StateMessage] = {}
         self.readings: dict[str, ReadingsMessage] = {}
         self.clock_error_s = {content.area.name: content.clock_error_s for content in files}
@@ -129,7 +129,7 @@ class SimulatedBus:
         self._heartbeat_s = min((content.beat_s for content in files), default=1.0)
         self.at(self._heartbeat_s, self._repeat_telemetry)
 
-    def offer(self, name: str, content: AreaFile | None) -> None:
+    def offer(self, name: str, content: Configuration | None) -> None:
         """Puts the file of the next split beside that of an area; None removes it."""
         if content is None:
             self.next_files.pop(name, None)
@@ -143,7 +143,7 @@ class SimulatedBus:
         if name in self.next_files:
             self.post(name, Offered(self.next_files[name]), delay_s=0.0)
 
-    def _go_over(self, name: str, content: AreaFile) -> None:
+    def _go_over(self, name: str, content: Configuration) -> None:
         """Switches the process of an area to ``content``, its next file, which replaces the file before."""
         self.files[name] = content
         self.next_files.pop(name, None)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.packing import Message, ReadingsMessage, StateMessage
+from agents.protocol.configuration import Configuration
 
 
 class Subscriber:
     """Receives every event of the simulated bus, in order. This base class ignores them."""
 
-    def begin(self, run: str, files: Sequence[AreaFile]) -> None:
+    def begin(self, run: str, files: Sequence[Configuration]) -> None:
         """Takes the name of the run and its area files, before all events."""
 
     def take_state(self, at: float, state: StateMessage) -> None:

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from agents.area_files.area_file import AreaFile
 from agents.area_files.split_digest import stamp_split
+from agents.protocol.configuration import Configuration
 from coordinator.lab.deployment.split import area_files
 from coordinator.lab.stages.process_stage import ProcessStage
 from coordinator.lab.stages.simulator_stage import SimulatorStage
@@ -22,7 +22,7 @@ from scenarios.scenario import Scenario
 OnScan = Callable[[Tick], None] | None
 
 
-def load_replay_areas(folder: Path, scenario: Scenario | None = None) -> list[AreaFile]:
+def load_replay_areas(folder: Path, scenario: Scenario | None = None) -> list[Configuration]:
     """The area files of the recording at ``folder``, or of ``scenario`` if given, changed for a replay: default rules
     for readings, no clock error, no interval of scans.
 

@@ -16,10 +16,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from agents.area_files.area_file import AreaFile, save_area_file
+from agents.area_files.area_file import save_area_file
 from agents.messages.checks import MessageError
 from agents.messages.keys import all_incarnations, sender_of, state_key, telemetry_key
 from agents.messages.packing import StateMessage, decode, encode
+from agents.protocol.configuration import Configuration
 from agents.protocol.quality import GOOD
 from agents.runtime.presence import Presence, begin_incarnation
 from agents.security.access import ROUTER
@@ -50,7 +51,7 @@ class ProcessStage:
 
     def __init__(
         self,
-        files: Sequence[AreaFile],
+        files: Sequence[Configuration],
         listen: str = ANY_PORT,
         on_state: Callable[[float, StateMessage], None] = lambda at, state: None,
     ) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.packing import Incarnation, StateMessage
+from agents.protocol.configuration import Configuration
 from coordinator.lab.simulator.simulator import STARTED_AT, SimulatedBus
 from coordinator.watch.replay.replay import make_telemetry_message
 from coordinator.watch.replay.scan_states import ScanStates
@@ -41,7 +41,7 @@ class SimulatorStage:
     """Plays scans to ``files`` on the simulator. ``on_state``: called with every state that an area shows."""
 
     def __init__(
-        self, files: Sequence[AreaFile], on_state: Callable[[float, StateMessage], None] = lambda at, state: None
+        self, files: Sequence[Configuration], on_state: Callable[[float, StateMessage], None] = lambda at, state: None
     ) -> None:
         self._on_state = on_state
         self._states = ScanStates(0, 0.0)

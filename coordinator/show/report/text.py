@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agents.area_files.area_file import AreaFile
+from agents.protocol.configuration import Configuration
 from coordinator.lab.evaluation.result import AreaResult, RunOutcome, RunResult
 from coordinator.lab.evaluation.verdict import Verdict
 from coordinator.watch.tables.text_table import format_table
@@ -116,7 +116,7 @@ def format_check(scenario: Scenario) -> str:
     return "\n".join(map(printable, lines))
 
 
-def format_area_check(file: AreaFile) -> str:
+def format_area_check(file: Configuration) -> str:
     """Summary of a checked area file: its area, neighbours and split."""
     neighbours = ", ".join(n.area for n in file.area.neighbours) or "none"
     split = file.identity

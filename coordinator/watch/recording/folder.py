@@ -18,8 +18,9 @@ from pathlib import Path
 
 import msgspec
 
-from agents.area_files.area_file import AreaFile, save_area_file
+from agents.area_files.area_file import save_area_file
 from agents.messages.checks import shown
+from agents.protocol.configuration import Configuration
 from coordinator.watch.recording.row_checks import AnyName
 from coordinator.watch.run_folder import RECORDING, describe_missing
 from dsse_core import operating_system
@@ -84,7 +85,7 @@ def read_about(folder: Path) -> About:
         raise InvalidInputError(str(path), [problem]) from None
 
 
-def load_areas(folder: Path) -> list[AreaFile]:
+def load_areas(folder: Path) -> list[Configuration]:
     """The area files of the recording in ``folder``, in the scenario's order; none where they are not known.
 
     Raises:
@@ -103,7 +104,7 @@ def load_areas(folder: Path) -> list[AreaFile]:
 
 
 @contextmanager
-def begin_writing(folder: Path, run: str, files: Sequence[AreaFile] = ()) -> Iterator[None]:
+def begin_writing(folder: Path, run: str, files: Sequence[Configuration] = ()) -> Iterator[None]:
     """Makes ``folder``, or goes on with the recording of ``run`` there. No other recorder writes there in the block.
 
     Raises:
@@ -128,14 +129,14 @@ def begin_writing(folder: Path, run: str, files: Sequence[AreaFile] = ()) -> Ite
         yield
 
 
-def _save_areas(folder: Path, files: Sequence[AreaFile]) -> None:
+def _save_areas(folder: Path, files: Sequence[Configuration]) -> None:
     if files:
         (folder / AREAS).mkdir(exist_ok=True)
     for content in files:
         save_area_file(folder / AREAS / f"{content.area.name}.json", content)
 
 
-def _check_same(folder: Path, run: str, files: Sequence[AreaFile]) -> None:
+def _check_same(folder: Path, run: str, files: Sequence[Configuration]) -> None:
     about = read_about(folder)
     if about.run != run:
         problem = f"is a recording of run {about.run!r}, not of {run!r}; choose a new folder"

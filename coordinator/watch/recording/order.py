@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents.area_files.area_file import AreaFile
+from agents.protocol.configuration import Configuration
 
 RECORDER = "recorder"  # the process of a run
 GIB = 2**30  # bytes
@@ -22,7 +22,7 @@ class Order:
 
     folder: Path
     run: str
-    files: Sequence[AreaFile] = ()
+    files: Sequence[Configuration] = ()
     limit_gb: float | None = None
     closes: bool = True
 

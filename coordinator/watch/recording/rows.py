@@ -14,7 +14,6 @@ from typing import Any
 
 import msgspec
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.checks import LONGEST_NAME, LONGEST_NOTE, MessageError, shown
 from agents.messages.keys import NAME, incarnation_of, name_of_live, run_of
 from agents.messages.packing import (
@@ -25,6 +24,7 @@ from agents.messages.packing import (
     StateMessage,
     decode_recorded,
 )
+from agents.protocol.configuration import Configuration
 from coordinator.watch.observe.area_flows import make_area_flows
 from coordinator.watch.recording.entries import APPEARED, LEFT, MESSAGE, NOTE, VANISHED, Entry
 from coordinator.watch.recording.recorder import check_sender
@@ -117,7 +117,7 @@ class _Shown:
 class RowMaker:
     """Makes rows from entries in the order of a log of ``run``. ``files``: area files, as far as they are known."""
 
-    def __init__(self, run: str, files: Iterable[AreaFile] = ()) -> None:
+    def __init__(self, run: str, files: Iterable[Configuration] = ()) -> None:
         self._run = run
         self._areas = {content.area.name: content.area for content in files}
         self._shown: dict[str, _Shown] = {}

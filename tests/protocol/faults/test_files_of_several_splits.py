@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agents.area_files.area_file import AreaFile
 from agents.area_files.split_digest import stamp_split
 from agents.messages.packing import StateMessage
+from agents.protocol.configuration import Configuration
 from agents.protocol.quality import GOOD
 from coordinator.lab.simulator.simulator import STARTED_AT
 from dsse_core.grid.measurement import MeasurementKind, Meter
@@ -71,7 +71,7 @@ EDITS = {
 }
 
 
-def edit(content: AreaFile, what: str, rng: np.random.Generator) -> AreaFile:
+def edit(content: Configuration, what: str, rng: np.random.Generator) -> Configuration:
     """``content`` as an operator would change it by hand."""
     change = EDITS[what]
     if change is not None:
@@ -82,7 +82,7 @@ def edit(content: AreaFile, what: str, rng: np.random.Generator) -> AreaFile:
     return replace(content, meters=tuple(m for m in meters if m != meter) if meter in meters else (*meters, meter))
 
 
-def run_with(files: list[AreaFile], scenario: object) -> tuple[SimulatedBus, list[StateMessage]]:
+def run_with(files: list[Configuration], scenario: object) -> tuple[SimulatedBus, list[StateMessage]]:
     """One scan, and what the areas have shown of it."""
     shown: list[StateMessage] = []
     telemetry = make_telemetry(scenario).by_area

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.keys import live_key
 from agents.messages.packing import Header, Incarnation, Message, ReadingsMessage, StateMessage
+from agents.protocol.configuration import Configuration
 from coordinator.lab.simulator.subscriber import Subscriber
 from coordinator.watch.replay.recorded_messages import MOST_VALUES, Presence, Update, count_values
 
@@ -44,7 +44,7 @@ class Play(Subscriber):
     _values: int = 0
     _on_the_way: dict[tuple[object, ...], Sent] = field(default_factory=dict)
 
-    def begin(self, run: str, files: Sequence[AreaFile]) -> None:
+    def begin(self, run: str, files: Sequence[Configuration]) -> None:
         self.run = run
 
     def take_state(self, at: float, state: StateMessage) -> None:

@@ -9,8 +9,9 @@ from typing import Any
 
 import pytest
 
-from agents.area_files.area_file import AreaFile, save_area_file
+from agents.area_files.area_file import save_area_file
 from agents.area_files.reader import load_area_file
+from agents.protocol.configuration import Configuration
 from coordinator.lab.deployment.split import area_files
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import StateLimits
@@ -21,11 +22,11 @@ from scenarios.scenario import load_scenario
 
 
 @pytest.fixture
-def content() -> AreaFile:
+def content() -> Configuration:
     return area_files(load_scenario("industrial13"), "run", ["tcp/127.0.0.1:7447"])[0]
 
 
-def spoilt(path: Path, content: AreaFile, change: Any) -> tuple[str, ...]:
+def spoilt(path: Path, content: Configuration, change: Any) -> tuple[str, ...]:
     """What is said of ``content`` as a file that ``change`` was applied to."""
     save_area_file(path, content)
     table = json.loads(path.read_text())
@@ -37,13 +38,13 @@ def spoilt(path: Path, content: AreaFile, change: Any) -> tuple[str, ...]:
 
 
 @pytest.mark.parametrize("suffix", [".toml", ".json"])
-def test_what_was_written_is_read_back(tmp_path: Path, content: AreaFile, suffix: str):
+def test_what_was_written_is_read_back(tmp_path: Path, content: Configuration, suffix: str):
     path = tmp_path / f"area{suffix}"
     save_area_file(path, content)
     assert load_area_file(path) == content
 
 
-def test_every_wrong_value_of_a_list_is_named_with_its_place(tmp_path: Path, content: AreaFile):
+def test_every_wrong_value_of_a_list_is_named_with_its_place(tmp_path: Path, content: Configuration):
     def change(table: dict[str, Any]) -> None:
         table["network"]["branch"]["r"][2] = "much"
         table["meter"]["kind"][0] = "temperature"
@@ -58,7 +59,7 @@ def test_every_wrong_value_of_a_list_is_named_with_its_place(tmp_path: Path, con
     )
 
 
-def test_lists_of_different_lengths_and_missing_ones_are_named(tmp_path: Path, content: AreaFile):
+def test_lists_of_different_lengths_and_missing_ones_are_named(tmp_path: Path, content: Configuration):
     n = len(content.meters)
 
     def change(table: dict[str, Any]) -> None:
@@ -70,7 +71,7 @@ def test_lists_of_different_lengths_and_missing_ones_are_named(tmp_path: Path, c
     assert lengths.startswith(f"meter: the lists need as many values each; kind has {n}, bus has {n - 1}")
 
 
-def test_a_list_where_one_table_belongs_is_rejected(tmp_path: Path, content: AreaFile):
+def test_a_list_where_one_table_belongs_is_rejected(tmp_path: Path, content: Configuration):
     rows = [{"kind": "vm", "bus": 1}]
     (problem,) = spoilt(tmp_path / "area.json", content, lambda t: t.update(meter=rows))
     assert problem == f"meter: must be a table, found {rows} (the area's meters)"
@@ -85,12 +86,12 @@ def test_who_gives_another_kind_of_file_is_reported_what_writes_area_files(tmp_p
         load_area_file(tmp_path / "other.toml")
 
 
-def test_a_neighbour_that_is_given_twice_would_be_believed_twice(tmp_path: Path, content: AreaFile):
+def test_a_neighbour_that_is_given_twice_would_be_believed_twice(tmp_path: Path, content: Configuration):
     problems = spoilt(tmp_path / "area.json", content, lambda t: t["neighbour"].append(t["neighbour"][0]))
     assert f"neighbour[2].area: {content.area.neighbours[0].area} is given twice; keep one" in problems
 
 
-def test_what_is_wrong_with_the_network_names_the_file(tmp_path: Path, content: AreaFile):
+def test_what_is_wrong_with_the_network_names_the_file(tmp_path: Path, content: Configuration):
     path = tmp_path / "area.json"
     first = content.area.network.buses[0].id
 
@@ -102,7 +103,7 @@ def test_what_is_wrong_with_the_network_names_the_file(tmp_path: Path, content: 
         load_area_file(path)
 
 
-def test_a_key_that_is_given_twice_in_json_is_rejected_as_in_toml(tmp_path: Path, content: AreaFile):
+def test_a_key_that_is_given_twice_in_json_is_rejected_as_in_toml(tmp_path: Path, content: Configuration):
     path = tmp_path / "area.json"
     save_area_file(path, content)
     path.write_text(path.read_text().replace('"run":', '"run":"other","run":', 1))
@@ -118,7 +119,7 @@ def test_angles_count_from_the_substation_and_from_no_bus_beside(tmp_path: Path)
     assert problem.startswith(f"reference.bus: bus {bus} is not the substation, from which all angles count")
 
 
-def test_an_area_behind_the_substation_that_counts_angles_from_it_is_read_back(tmp_path: Path, content: AreaFile):
+def test_an_area_behind_the_substation_that_counts_angles_from_it_is_read_back(tmp_path: Path, content: Configuration):
     """The bus of the substation belongs to another area, which this one meets there."""
     buses = tuple(Bus(id=k, base_kv=20.0, p_load=0.1) for k in (1, 2, 3))
     branches = tuple(Branch(f"1-{k}", 1, k, r=0.01, x=0.01) for k in (2, 3))
@@ -129,7 +130,7 @@ def test_an_area_behind_the_substation_that_counts_angles_from_it_is_read_back(t
         assert load_area_file(tmp_path / "a.json").area == area
 
 
-def test_a_band_of_voltages_that_is_empty_is_rejected(tmp_path: Path, content: AreaFile):
+def test_a_band_of_voltages_that_is_empty_is_rejected(tmp_path: Path, content: Configuration):
     def change(table: dict[str, Any]) -> None:
         table["quality"]["lowest_vm"] = 1.5
 
@@ -138,7 +139,7 @@ def test_a_band_of_voltages_that_is_empty_is_rejected(tmp_path: Path, content: A
 
 
 @pytest.mark.parametrize("suffix", [".toml", ".json"])
-def test_limits_and_lies_are_read_back(tmp_path: Path, content: AreaFile, suffix: str):
+def test_limits_and_lies_are_read_back(tmp_path: Path, content: Configuration, suffix: str):
     lie = LinkFaults(lie_p=0.1, lie_scale=1.1, lie_objective=0.0, lie_areas=3, lie_worst="vm@1", lie_verdict="final")
     changed = replace(content, links=content.links | {"area2": lie}, limits=StateLimits(0.8, 1.1, 0.05))
     save_area_file(tmp_path / f"area{suffix}", changed)
@@ -146,7 +147,7 @@ def test_limits_and_lies_are_read_back(tmp_path: Path, content: AreaFile, suffix
 
 
 @pytest.mark.parametrize("suffix", [".toml", ".json"])
-def test_names_and_ratings_of_some_branches_are_read_back(tmp_path: Path, content: AreaFile, suffix: str):
+def test_names_and_ratings_of_some_branches_are_read_back(tmp_path: Path, content: Configuration, suffix: str):
     network = content.area.network
     first, second, *others = network.branches
     branches = (replace(first, name="north", i_max=0.3), replace(second, s_max=2.5), *others)
@@ -156,14 +157,14 @@ def test_names_and_ratings_of_some_branches_are_read_back(tmp_path: Path, conten
     assert load_area_file(path) == rated
 
 
-def ring_of_two() -> AreaFile:
+def ring_of_two() -> Configuration:
     """The area behind the substation's of two that meet at buses 2 and 3."""
     buses = tuple(Bus(id=k, base_kv=20.0, p_load=0.1) for k in (1, 2, 3, 4))
     ends = ((1, 2), (1, 3), (2, 4), (3, 4))
     branches = tuple(Branch(f"{f}-{t}", f, t, r=0.01, x=0.01, tap=1.02 if t == 2 else 1.0) for f, t in ends)
     network = Network("ring", 1.0, buses, branches, (Generator(1, Control.SLACK),))
     area = build_partition(network, {"one": [1, 2, 3], "two": [2, 3, 4]}).area("two")
-    return AreaFile("run", area, (), "information", ("tcp/127.0.0.1:7447",), links={"one": LinkFaults()})
+    return Configuration("run", area, (), "information", ("tcp/127.0.0.1:7447",), links={"one": LinkFaults()})
 
 
 @pytest.mark.parametrize("suffix", [".toml", ".json"])

@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 
-from agents.area_files.area_file import AreaFile, save_area_file
+from agents.area_files.area_file import save_area_file
 from agents.area_files.reader import load_area_file
 from agents.area_files.split_digest import stamp_split
+from agents.protocol.configuration import Configuration
 from agents.protocol.configuration_digest import LEFT_OUT
 from coordinator.lab.deployment.split import area_files
 from dsse_core.errors import InvalidInputError
@@ -21,7 +22,7 @@ from scenarios.scenario import load_scenario
 WHERE = ("run", ["tcp/127.0.0.1:7447"])
 
 
-def files_of(name: str = "ieee33") -> list[AreaFile]:
+def files_of(name: str = "ieee33") -> list[Configuration]:
     return area_files(load_scenario(name), *WHERE)
 
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.packing import Header, Incarnation, TelemetryMessage
+from agents.protocol.configuration import Configuration
 from agents.protocol.readings import Readings, ReadingStore
 from coordinator.lab.deployment.split import area_files
 from dsse_core.grid.measurement import MeasurementKind, Source
@@ -22,7 +22,7 @@ NOW = 1.7e9  # s since 1970
 RULES = {MeasurementKind.VM: KindRule(period_s=10.0, lowest=0.5, highest=1.5), MeasurementKind.P_FLOW: KindRule(60.0)}
 
 
-def content(gateways: Mapping[str, MetersOf] | None = None, *, ticks: str = "clock") -> AreaFile:
+def content(gateways: Mapping[str, MetersOf] | None = None, *, ticks: str = "clock") -> Configuration:
     area1 = area_files(load_scenario("ieee33"), "run", ["tcp/127.0.0.1:7447"])[0]
     rules = ReadingRules(ticks, "plant", gateways or {"*": "all"}, RULES)  # type: ignore[arg-type]
     return replace(area1, scan_s=1.0, readings=rules)
@@ -49,7 +49,7 @@ def message(
     return TelemetryMessage(header, "area1", meters, values, (sigma,) * n, tuple(NOW + t for t in times), (valid,) * n)
 
 
-def taken(store: ReadingStore, at: float = 0.0, area: AreaFile = AREA) -> Readings:
+def taken(store: ReadingStore, at: float = 0.0, area: Configuration = AREA) -> Readings:
     readings = Readings(area, store)
     list(readings.take(None, at, NOW + at))
     return readings

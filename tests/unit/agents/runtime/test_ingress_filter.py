@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.packing import MAX_NEIGHBOUR_BYTES, Header, Incarnation, LoadMessage, TelemetryMessage, encode
 from agents.peers.rejections import find_rejection
+from agents.protocol.configuration import Configuration
 from agents.protocol.events import Received, Rejected
 from agents.runtime.inbox import Inbox
 from agents.runtime.ingress_filter import MOST_GATEWAYS, IngressFilter
@@ -78,7 +78,7 @@ class Unread(tuple):
 
 
 def test_the_meters_of_telemetry_are_not_compared_with_one_another_at_each_repeat():
-    content = AreaFile("r", SimpleNamespace(name="area1"), (), "information", ())
+    content = Configuration("r", SimpleNamespace(name="area1"), (), "information", ())
     header = replace(LOAD.header, sender="plant")
     message = TelemetryMessage(header, "area1", Unread(["vm@1"]), (1.0,), (0.1,), (0.0,), (True,))
     assert find_rejection(message, "", content, 0.0) == ""

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from agents.area_files.area_file import AreaFile, save_area_file
+from agents.area_files.area_file import save_area_file
 from agents.area_files.reader import load_area_file
+from agents.protocol.configuration import Configuration
 from agents.protocol.events import Offered
 from agents.runtime.inbox import Inbox
 from agents.runtime.next_file import LOOK_S, NextFile
@@ -26,7 +27,7 @@ CONTENT, OTHER = area_files(load_scenario("industrial13"), "run", ["tcp/127.0.0.
 HERE, THERE = "tcp/127.0.0.1:7450", "tcp/127.0.0.1:7451"
 
 
-def with_ring(content: AreaFile) -> AreaFile:
+def with_ring(content: Configuration) -> Configuration:
     """``content`` where the area meets its neighbour at two buses, under a strategy that cannot take that."""
     (neighbour,) = content.area.neighbours
     second = next(bus.id for bus in content.area.network.buses if bus.id not in (neighbour.bus, content.area.slack_bus))
@@ -38,7 +39,7 @@ def with_ring(content: AreaFile) -> AreaFile:
 class Folder:
     """With the file of an area, and the looks of its agent."""
 
-    def __init__(self, folder: Path, content: AreaFile = CONTENT) -> None:
+    def __init__(self, folder: Path, content: Configuration = CONTENT) -> None:
         self.path, self.next = folder / "area1.toml", folder / "area1.next.toml"
         save_area_file(self.path, content)
         self.inbox = Inbox()
@@ -49,7 +50,7 @@ class Folder:
         self.file.look(self.now)
         self.now += LOOK_S
 
-    def offered(self) -> AreaFile | None:
+    def offered(self) -> Configuration | None:
         (found,) = self.inbox.take(DEADLINE_S)
         assert isinstance(found, Offered)
         return found.configuration
@@ -97,7 +98,7 @@ def test_one_that_is_replaced_is_read_again(folder: Folder):
 def test_one_that_is_replaced_while_it_is_read_is_offered_last(folder: Folder):
     reads, may_go_on = [], threading.Event()
 
-    def load_slowly(path: Path) -> AreaFile:
+    def load_slowly(path: Path) -> Configuration:
         found = load_area_file(path)
         reads.append(found.tolerance)
         assert may_go_on.wait(DEADLINE_S)

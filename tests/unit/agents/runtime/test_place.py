@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from agents.area_files.area_file import AreaFile
 from agents.area_files.split_digest import stamp_split
 from agents.messages.keys import live_key, split_of
 from agents.messages.packing import Incarnation
+from agents.protocol.configuration import Configuration
 from agents.runtime.duplicate_guard import OVERLAP_S, ReplacedError, take_place
 from coordinator.lab.deployment.split import area_files
 from dsse_core.split_identity import NO_SPLIT
@@ -20,7 +20,7 @@ from scenarios.scenario import load_scenario
 AT = 1.7e9
 
 
-def file_of(time: float, tolerance: float = 1e-6) -> AreaFile:
+def file_of(time: float, tolerance: float = 1e-6) -> Configuration:
     files = area_files(load_scenario("industrial13"), "run", ["tcp/127.0.0.1:7447"])
     return stamp_split([replace(content, tolerance=tolerance) for content in files], time=time)[0]
 
@@ -33,7 +33,7 @@ OF_ONE_TIME = (file_of(AT, 1e-5), file_of(AT, 1e-7)), (EDITED, replace(NEW, tole
 class Bus:
     """On which a process of the area with ``file`` is seen until ``until``, s."""
 
-    def __init__(self, file: AreaFile | None, until: float) -> None:
+    def __init__(self, file: Configuration | None, until: float) -> None:
         self.now, self._until = 0.0, until
         split = file.identity if file else NO_SPLIT
         self._token = live_key("run", "area", "area1", Incarnation(5, 7), split)
@@ -46,7 +46,9 @@ class Bus:
         self.now += seconds
 
 
-def take(content: AreaFile, running: AreaFile | None, until: float = 1e9, following: AreaFile | None = None) -> float:
+def take(
+    content: Configuration, running: Configuration | None, until: float = 1e9, following: Configuration | None = None
+) -> float:
     """When ``content`` takes the place, s."""
     bus: Any = Bus(running, until)
     take_place(content, bus, following, lambda: bus.now, bus.wait)
@@ -54,7 +56,9 @@ def take(content: AreaFile, running: AreaFile | None, until: float = 1e9, follow
 
 
 @pytest.mark.parametrize(("given", "running"), [(OLD, NEW), (EDITED, NEW), (replace(OLD, split=None), OLD)])
-def test_a_process_with_a_newer_file_keeps_its_place_and_both_files_are_named(given: AreaFile, running: AreaFile):
+def test_a_process_with_a_newer_file_keeps_its_place_and_both_files_are_named(
+    given: Configuration, running: Configuration
+):
     with pytest.raises(ReplacedError) as caught:
         take(given, running)
     assert all(str(content.identity) in str(caught.value) for content in (given, running))
@@ -65,12 +69,14 @@ def test_a_process_with_a_newer_file_keeps_its_place_and_both_files_are_named(gi
     ("given", "running"),
     [(NEW, OLD), (OLD, OLD), (NEW, EDITED), (EDITED, OLD), (OLD, None), (OLD, replace(OLD, split=None))],
 )
-def test_the_place_of_one_with_the_same_or_an_older_file_is_taken_at_once(given: AreaFile, running: AreaFile | None):
+def test_the_place_of_one_with_the_same_or_an_older_file_is_taken_at_once(
+    given: Configuration, running: Configuration | None
+):
     assert take(given, running) == 0.0
 
 
 @pytest.mark.parametrize("files", OF_ONE_TIME)
-def test_of_two_splits_of_one_time_and_of_two_edited_files_none_is_newer(files: tuple[AreaFile, AreaFile]):
+def test_of_two_splits_of_one_time_and_of_two_edited_files_none_is_newer(files: tuple[Configuration, Configuration]):
     one, other = files
     assert take(one, other) == take(other, one) == 0.0
 
@@ -84,7 +90,7 @@ def test_the_token_of_a_process_that_was_killed_is_waited_for():
 
 
 @pytest.mark.parametrize("content", [OLD, NEW, EDITED])
-def test_a_token_states_the_split(content: AreaFile):
+def test_a_token_states_the_split(content: Configuration):
     split = content.identity
     found = split_of(live_key("run", "area", "area1", Incarnation(5, 7), split))
     assert str(found) == str(split)
