@@ -29,6 +29,7 @@ MODULES = (
     "dsse_core.files.shared_tables",
     "agents.security.access_file",
 )
+OF_AREA_FILES = {"AreaFile": "AreaTable"}  # a scenario's AreaTable has the same name
 MARKED = re.compile(r"<!-- keys (?P<names>[\w ]+) -->\n.*?<!-- end -->", re.DOTALL)
 TYPES = {
     "AreaSelection": '`"all"` or list of texts',
@@ -54,12 +55,14 @@ TYPES = {
 
 def find_tables() -> dict[str, type[Table]]:
     """Name -> schema of each table of a file that a user writes."""
-    return {
+    tables = {
         name: value
         for module in map(importlib.import_module, MODULES)
         for name, value in vars(module).items()
         if isinstance(value, type) and issubclass(value, Table) and value.__module__ == module.__name__
     }
+    of_area_files = importlib.import_module("agents.area_files.tables")
+    return tables | {shown: getattr(of_area_files, name) for shown, name in OF_AREA_FILES.items()}
 
 
 def write_tables(text: str) -> str:

@@ -131,23 +131,39 @@ class AreaTable(FileTable):
 
     format: Version = Field(description="version of this format, 1")
     split: SplitTable | None = None
+    """Identity of the split: `digest`, `content` (digest of this file) and `time`; none in older files."""
     run: Name = Field(description="name of the system that the area belongs to")
     area: Name = Field(description="name of the area")
     strategy: str = Field(description="how the areas exchange what they know")
+    """Strategy of the exchange."""
     endpoints: list[str] = Field(description="where to find the bus, e.g. tcp/127.0.0.1:7447")
+    """Where to find the bus: routers, or neighbours with direct links. May be edited."""
     listen: list[str] = Field(default_factory=list)
+    """Where the agent listens, with direct links. May be edited."""
     beat_s: HeartbeatSeconds = 0.2
+    """`run.beat_s` of the scenario. May be edited."""
     scan_s: ScanSeconds | None = None
+    """`run.scan_s` of the scenario."""
     tolerance: Positive = 1e-6
+    """Largest last step of the estimator."""
     seed: Seed = 0
+    """Seed of injected faults."""
     clock_error_s: ClockError = 0.0
+    """Injected error of the clock."""
     telemetry: TelemetryTable = TelemetryTable()
+    """Source of scan numbers, gateways and their meters, intervals and ranges of each kind of meter."""
     local_slack: SlackTable = Field(description="where the local power flow begins")
+    """Bus and voltage where the local power flow begins."""
     reference: ReferenceTable | None = None
+    """Bus and angle of the substation, in its area."""
     exchange: ExchangeTable = Field(description="the way to the hub, the number of areas, where the area begins")
+    """The neighbour towards the hub, the number of areas, the voltage where the area begins."""
     load_messages: LoadMessagesTable = LoadMessagesTable()
+    """As in a scenario, with the injected error of the boundary load."""
     admm: AdmmTable = AdmmTable()
+    """As in a scenario."""
     quality: QualityTable = QualityTable()
+    """As in a scenario, in p.u."""
 
 
 @functools.cache
