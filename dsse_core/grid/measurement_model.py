@@ -110,12 +110,13 @@ class MeasurementModel:
             size = abs(i[current])
             of_i[current] = np.where(size > CURRENT_FLOOR, of_u[current] / np.maximum(size, CURRENT_FLOOR), 0.0)
             of_u[current] = 0.0
-        for rows in (magnitude, angle):
-            if rows.size:
-                of_u[rows] = u[rows].conj() / np.maximum(abs(u[rows]), VOLTAGE_FLOOR)
-                of_i[rows] = 0.0
-        if angle.size:
-            of_u[angle] *= -1j / np.maximum(abs(u[angle]), VOLTAGE_FLOOR)
+        with np.errstate(invalid="ignore"):  # nan voltages have nan derivatives, with which an iteration ends
+            for rows in (magnitude, angle):
+                if rows.size:
+                    of_u[rows] = u[rows].conj() / np.maximum(abs(u[rows]), VOLTAGE_FLOOR)
+                    of_i[rows] = 0.0
+            if angle.size:
+                of_u[angle] *= -1j / np.maximum(abs(u[angle]), VOLTAGE_FLOOR)
         return of_u, of_i
 
     @cached_property

@@ -58,7 +58,11 @@ class SweepTable:
             raise InvalidInputError(str(self.path), ["another sweep is writing to it; wait for its end"]) from None
         except OSError:
             pass  # a system of files without locks
-        self._read()
+        try:
+            self._read()
+        except InvalidInputError:
+            self._lines.close()
+            raise
 
     def __enter__(self) -> Self:
         return self

@@ -71,6 +71,7 @@ def dsse(place: Path, tmp_path: Path) -> Dsse:
     return run
 
 
+@pytest.mark.long
 def test_compiling_does_not_count_against_the_time_limit_and_is_reported_once(dsse: Dsse, feeders: Path, place: Path):
     scenario = str(feeders / "140" / "scenario.toml")
     run = ("run", scenario, "--timeout", str(FIRST_RUN_S), "--no-plots")
@@ -94,6 +95,7 @@ def test_a_single_estimate_does_not_wait_for_a_compiler(feeders: Path, tmp_path:
     assert list(tmp_path.rglob("*.nb?")) == []
 
 
+@pytest.mark.long
 def test_what_was_compiled_ahead_is_not_compiled_again(dsse: Dsse, feeders: Path, place: Path):
     ahead = dsse("compile")
     assert ahead.returncode == 0, ahead.stderr

@@ -106,12 +106,14 @@ def test_a_thousand_buses_of_a_scenario_are_drawn_and_one_of_them_is_found(dsse:
         wait_until(lambda: source.newest.number > before + 5)
 
 
+@pytest.mark.long
 def test_ten_thousand_buses_are_shown_and_one_of_them_is_found():
     with shown(Feeder(100, 101)) as (source, page, url):
         find_bus(page, url, 100, 7777, "voltage")
         assert len(source.newest.payload) < 1_000_000
 
 
+@pytest.mark.long
 def test_hours_of_updates_leave_the_memory_of_the_page_as_it_was(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(sources, "UPDATE_S", 0.02)
     monkeypatch.setattr(sources, "BUSY_SHARE", 0.0)
@@ -131,6 +133,7 @@ def test_hours_of_updates_leave_the_memory_of_the_page_as_it_was(monkeypatch: py
         assert page.locator("#events li").count() <= 60
 
 
+@pytest.mark.long
 def test_a_hundred_thousand_strangers_leave_the_page_usable_and_its_areas_in_sight():
     feeder = Feeder(2, 5)
     with shown(feeder) as (_, page, url):

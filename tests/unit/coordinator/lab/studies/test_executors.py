@@ -75,11 +75,12 @@ def count_lines(folder: Path) -> int:
 
 
 @pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.n_cases(few=40, long=40, many=200)
 def test_a_sweep_goes_on_after_kill_9_and_the_death_of_a_worker_with_the_rows_of_the_local_pool(
-    tmp_path: Path, dask: Dask, request: pytest.FixtureRequest
+    tmp_path: Path, dask: Dask, n_cases: int
 ):
-    seeds = 200 if request.config.getoption("--thorough") else 40
-    options = [*STUDY, "--seeds", str(seeds)]
+    options = [*STUDY, "--seeds", str(n_cases)]
     assert run_command([*options, "--jobs", "2", "--out", str(tmp_path / "local")]) == 0
     folder = tmp_path / "far"
     far = [*options, "--executor", dask.address, "--out", str(folder)]
@@ -93,7 +94,7 @@ def test_a_sweep_goes_on_after_kill_9_and_the_death_of_a_worker_with_the_rows_of
         study.wait()
     assert rows_in(folder)
     assert subprocess.run([sys.executable, "-P", "-m", "coordinator", *far], env=ENVIRONMENT).returncode == 0
-    assert len(rows_in(folder)) == 2 * seeds
+    assert len(rows_in(folder)) == 2 * n_cases
     assert rows_in(folder) == rows_in(tmp_path / "local")
 
 
