@@ -28,13 +28,25 @@ def keep_bars(app: Sphinx, what: str, name: str, obj: object, options: object, l
     lines[:] = [line.replace("|", r"\|") for line in lines]
 
 
+attributes: dict[
+    str, list[str]
+] = {}  # lines of each attribute before napoleon, which takes a colon for the end of a type
+
+
+def note_attribute(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Keep the text of an attribute, before napoleon."""
+    if what == "attribute":
+        attributes[name] = list(lines)
+
+
 def read_markdown_of_keys(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
     """Meanings of keys of files are Markdown, as the reference pages have them: code spans become literals."""
     if what == "attribute":
-        text = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", "\n".join(lines))
+        text = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", "\n".join(attributes[name]))
         lines[:] = re.sub(r"(?<!`)`([^`]+)`(?![`_])", r"``\1``", text).split("\n")
 
 
 def setup(app: Sphinx) -> None:
-    app.connect("autodoc-process-docstring", read_markdown_of_keys)
-    app.connect("autodoc-process-docstring", keep_bars)
+    app.connect("autodoc-process-docstring", note_attribute, priority=100)
+    app.connect("autodoc-process-docstring", read_markdown_of_keys, priority=900)
+    app.connect("autodoc-process-docstring", keep_bars, priority=901)

@@ -27,6 +27,19 @@ def find_missing_subjects(page: Path) -> list[str]:
     return [line for line in text.splitlines() if not line.startswith("    ") and WITHOUT_SUBJECT.search(line)]
 
 
+def sentences_of(page: Path) -> list[str]:
+    """Sentences outside code, tables and comments."""
+    text = re.sub(r"^```.*?^```|<!--.*?-->", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    parts = re.split(r"\n\s*\n|\n(?=\s*(?:- |\d+\. |\|))", re.sub(r"`[^`]*`", "``", text))
+    prose = [part for part in parts if not part.startswith(("|", "    "))]
+    return [" ".join(found.split()) for part in prose for found in re.split(r"(?<=[.!?:])\s+", part)]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_a_sentence_is_read_once(page: Path):
+    assert [text for text in sentences_of(page) if len(text.split()) > 50 or text.count(";") > 2] == []
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_sentences_of_a_page_name_their_subject(page: Path):
     assert find_missing_subjects(page) == []
