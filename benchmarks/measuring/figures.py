@@ -2,7 +2,8 @@
 
 The page has sections between ``<!-- figures NAME -->`` and ``<!-- end -->``. A marker may select what is shown:
 ``<!-- figures NAME; columns A | B; rows C | D -->`` shows two columns, and the rows that have a cell C and a cell D;
-``rows first`` and ``rows last`` show one. The section ``lines`` has one line for each further name, with chosen facts.
+``rows first`` and ``rows last`` show one. The section ``lines`` has one line for each further name:
+chosen facts, or ``in the file``.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import click
 
 FIGURES = Path(__file__).parents[2] / "docs" / "reference" / "figures.md"
 LINES = "lines"  # section of names that have one line each
+IN_THE_FILE = "in the file"  # facts of a line that shows none
 _LEFT_OUT = {"load before", "system", "consensus-dsse", "memory"}  # of the machine: figures do not depend on them
 _SECTION = re.compile(r"<!-- figures (?P<name>[\w-]+)(?P<shown>[^>]*) -->\n(?P<body>.*?)<!-- end -->", re.DOTALL)
 _LINE = re.compile(r"^\| \[(?P<name>[\w-]+)\]\(\S+\) \| (?P<facts>.*?) \| .*\|$", re.MULTILINE)
@@ -85,8 +87,10 @@ def write_section(name: str, machine: Mapping[str, str], table: str, page: Path 
         facts = {row[0]: ", ".join(row[1:]) for row in tables[0][1:]}
         named = [fact.partition(" = ")[0] for fact in found["facts"].split("; ")]
         kept = [f"{what} = {facts[what]}" for what in named if what in facts]
-        shown = kept or [f"{what} = {figure}" for what, figure in facts.items()]
-        return f"| [{name}]({link}) | {'; '.join(shown)} | {folder.name} | `{command}` |"
+        shown = "; ".join(kept or [f"{what} = {figure}" for what, figure in facts.items()])
+        if found["facts"] == IN_THE_FILE:
+            shown = IN_THE_FILE
+        return f"| [{name}]({link}) | {shown} | {folder.name} | `{command}` |"
 
     page.write_text(_SECTION.sub(replace, page.read_text(encoding="utf-8")), encoding="utf-8")
 

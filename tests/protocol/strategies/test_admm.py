@@ -192,7 +192,7 @@ def test_a_wrong_load_message_changes_nothing_but_the_start():
 
 @pytest.mark.parametrize(("name", "most"), [("ieee33", 12), ("industrial13", 8), ("tree", 24)])
 def test_a_millionth_is_reached_in_as_many_iterations_as_theory_says(name, most):
-    """docs/reference/figures.md, penalty of ADMM; a plain scalar penalty with the angle as one of four takes 48."""
+    """docs/reference/figures.md, `penalty`; a plain scalar penalty with the angle as one of four takes 48."""
     bus, centralised = bus_with(tree_scenario() if name == "tree" else load_scenario(name))
     assert iterations_to(bus, centralised, 1e-6) <= most
 
