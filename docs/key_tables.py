@@ -1,6 +1,6 @@
 """Tables of keys in the reference pages, written from the schemas of the files: ``python docs/key_tables.py``.
 
-A page has ``<!-- keys SCHEMA ... -->`` and ``<!-- end -->`` around each table. Each schema adds the keys that
+A page has ``<!-- keys SCHEMA ... -->`` above each table. Each schema adds the keys that
 it does not inherit. The meaning of a key is the string below its field, or without one the field's description.
 """
 
@@ -30,7 +30,7 @@ MODULES = (
     "agents.security.access_file",
 )
 OF_AREA_FILES = {"AreaFile": "AreaTable"}  # a scenario's AreaTable has the same name
-MARKED = re.compile(r"<!-- keys (?P<names>[\w ]+) -->\n.*?<!-- end -->", re.DOTALL)
+MARKED = re.compile(r"<!-- keys (?P<names>[\w ]+) -->\n(?:\n(?:\|.*\n)+)?")
 TYPES = {
     "AreaSelection": '`"all"` or list of texts',
     "Areas": "tables",
@@ -71,8 +71,8 @@ def write_tables(text: str) -> str:
 
     def write(found: re.Match[str]) -> str:
         rows = [row for name in found["names"].split() for row in list_rows(tables[name])]
-        head = "| Key | Type (default) | Meaning |\n|---|---|---|"
-        return "\n".join([f"<!-- keys {found['names']} -->", "", head, *rows, "", "<!-- end -->"])
+        head = "| Key | Type | Meaning |\n|---|---|---|"
+        return "\n".join([f"<!-- keys {found['names']} -->", "", head, *rows, ""])
 
     return MARKED.sub(write, text)
 
