@@ -33,8 +33,18 @@ def events_of(result: RunResult, kind: str) -> list[dict]:
     return [event for event in map(json.loads, lines) if event["event"] == kind]
 
 
-@pytest.mark.parametrize("run", RUNS.values(), ids=RUNS)
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize(
+    ("name", "run"),
+    [
+        *(pytest.param(name, coordinator.simulate, id=f"{name}-simulator") for name in KINDS),
+        pytest.param("ieee33-restart", coordinator.run, id="ieee33-restart-processes"),
+        *(
+            pytest.param(name, coordinator.run, id=f"{name}-processes", marks=pytest.mark.long)
+            for name in KINDS
+            if name != "ieee33-restart"
+        ),
+    ],
+)
 def test_faults_delay_the_centralised_estimate_and_are_counted(
     name: str, run: Callable[..., RunResult], tmp_path: Path
 ):

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.levels import SECURED_FURTHER
 from tests.support.system_by_hand import SystemByHand, Watcher, prepare_by_hand
 from tests.support.waiting import wait_until
 
 NOTES = {signal.SIGTERM: "neighbour area2 has left: SIGTERM", signal.SIGKILL: "neighbour area2 is gone"}
 
 
-@pytest.mark.parametrize("secured", [False, True], ids=["open", "secured"])
+@pytest.mark.parametrize("secured", SECURED_FURTHER)
 def test_neighbours_and_watchers_tell_an_orderly_end_from_a_death(dsse, tmp_path: Path, secured: bool):
     endpoint, keys = prepare_by_hand(dsse, secured)
     with SystemByHand(tmp_path) as system:

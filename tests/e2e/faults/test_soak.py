@@ -7,11 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.support.dsse_command import ENVIRONMENT, ROOT
 
 DEADLINE_S = 600.0
 
 
+@pytest.mark.long
 def test_a_short_soak_ends_whole(tmp_path: Path):
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks.soak", "--minutes", "0.1", "--out", str(tmp_path / "soak")],

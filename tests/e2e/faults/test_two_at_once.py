@@ -13,11 +13,12 @@ from agents.runtime.duplicate_guard import REPLACED_CODE
 from agents.runtime.presence import begin_incarnation
 from agents.transport.zenoh_bus import Session
 from tests.support.dsse_command import COMMAND, ENVIRONMENT, free_endpoint
+from tests.support.levels import SECURED_FURTHER
 from tests.support.system_by_hand import SystemByHand, agreeing_system
 from tests.support.waiting import DEADLINE_S, wait_until
 
 
-@pytest.mark.parametrize("secured", [False, True], ids=["open", "secured"])
+@pytest.mark.parametrize("secured", SECURED_FURTHER)
 def test_the_older_agent_and_the_older_plant_give_way_and_the_estimate_stays(dsse, tmp_path: Path, secured: bool):
     with agreeing_system(dsse, tmp_path, secured) as (system, watcher, endpoint, keys):
         system.start("area2 again", "agent", "areas/area2.toml", *keys)

@@ -23,7 +23,7 @@ from coordinator.watch.recording.parquet import read_rows
 from tests.support.field.feeder import WAYS, FeederUnderWay, running_feeder
 from tests.support.waiting import DEADLINE_S, wait_until
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 AHEAD_S = 3.0
 LACK = "readings of this area are overdue or missing"
 

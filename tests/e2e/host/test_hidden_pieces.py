@@ -60,13 +60,16 @@ if __name__ == "__main__":
     ("hidden", "missing"),
     [
         ("fcntl resource", {}),
-        ("os.fork", {}),
-        ("os.sched_getaffinity os.geteuid os.nice os.killpg os.getpgrp os.fchmod", {}),
-        ("os.O_NOFOLLOW os.O_NONBLOCK os.O_NOCTTY socket.SOCK_CLOEXEC", {}),
-        (
+        pytest.param("os.fork", {}, marks=pytest.mark.long),
+        pytest.param(
+            "os.sched_getaffinity os.geteuid os.nice os.killpg os.getpgrp os.fchmod", {}, marks=pytest.mark.long
+        ),
+        pytest.param("os.O_NOFOLLOW os.O_NONBLOCK os.O_NOCTTY socket.SOCK_CLOEXEC", {}, marks=pytest.mark.long),
+        pytest.param(
             "signal.SIGHUP signal.SIGQUIT signal.SIGUSR1 signal.SIGUSR2 signal.SIGSTOP signal.SIGCONT signal.SIGKILL "
             "signal.pthread_sigmask signal.pthread_kill",
             {},
+            marks=pytest.mark.long,
         ),
         ("signal.SIGCHLD", {"run industrial13": "this system has no SIGCHLD", "stop run": "there is no such folder"}),
     ],

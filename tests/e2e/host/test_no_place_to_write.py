@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.dsse_command import COMMAND, WITH_LIMITS
+from tests.support.levels import further
 from tests.support.waiting import DEADLINE_S
 
 NOBODY = 65534
@@ -28,6 +29,7 @@ COMMANDS = {
     "simulate": ["simulate", "ieee33", "--no-plots", "--out"],
     "run": ["run", "ieee33", "--no-plots", "--out"],
 }
+FEW = ("import", "sweep", "run")
 LEAVES_NOTHING = ("import", "generate", "split", "keys")
 FEEDER = """function mpc = feeder
 mpc.version = '2';
@@ -92,7 +94,7 @@ def test_a_full_disk_is_one_error_and_leaves_nothing_half_written(tmp_path: Path
 
 
 @pytest.mark.skipif(not CAN_DROP, reason="to be kept out of a folder, root needs setpriv")
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", [*FEW, *further(*(name for name in COMMANDS if name not in FEW))])
 def test_a_folder_that_cannot_be_written_is_one_error(tmp_path: Path, command: str) -> None:
     lock(tmp_path / "locked")
     done = run_there(tmp_path, [*COMMANDS[command], "locked/out"], kept_out=True)
@@ -113,7 +115,7 @@ def test_compiled_code_that_can_be_kept_nowhere_is_one_error(tmp_path: Path) -> 
 
 
 @pytest.mark.skipif(not CAN_DROP, reason="to be kept out of a folder, root needs setpriv")
-@pytest.mark.parametrize("home", ["locked", "nowhere", ""])
+@pytest.mark.parametrize("home", ["locked", "", *further("nowhere")])
 def test_without_a_home_that_can_be_written_a_run_is_as_ever(tmp_path: Path, home: str) -> None:
     lock(tmp_path / "locked")
     environment = {"HOME": str(tmp_path / home) if home else "", "TMPDIR": str(tmp_path / "nowhere")}
@@ -136,7 +138,7 @@ def test_a_folder_that_another_run_uses_is_one_error(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("room", [5_000, 12_000])
+@pytest.mark.parametrize("room", [5_000, *further(12_000)])
 def test_a_full_disk_leaves_no_part_of_any_file_of_a_run(tmp_path: Path, room: int) -> None:
     """The verdict is there, each table is complete or missing, every line of events is one."""
 
@@ -155,7 +157,9 @@ def test_a_full_disk_leaves_no_part_of_any_file_of_a_run(tmp_path: Path, room: i
 
 
 @pytest.mark.parametrize("closed", [(1,), (2,), (0, 1, 2)])
-@pytest.mark.parametrize("command", [["simulate", "ieee33", "--no-plots", "--out", "out"], ["check", "ieee33"]])
+@pytest.mark.parametrize(
+    "command", [["simulate", "ieee33", "--no-plots", "--out", "out"], *further(["check", "ieee33"])]
+)
 def test_closed_standard_streams_end_no_command(tmp_path: Path, command: list[str], closed: tuple[int, ...]) -> None:
     done = subprocess.run(
         [*COMMAND, *command],

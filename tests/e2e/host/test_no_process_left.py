@@ -24,17 +24,22 @@ from coordinator.watch.interrupts import ENDS
 from coordinator.watch.observe.progress import Progress
 from dsse_core.operating_system import name_signal
 from tests.support.dsse_command import ROOT
+from tests.support.levels import further
 from tests.support.waiting import DEADLINE_S, wait_until
 
-FEW = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGRTMIN + 1)
+FEW = (signal.SIGINT, signal.SIGTERM)
+FURTHER = (signal.SIGHUP, signal.SIGQUIT, signal.SIGRTMIN + 1)
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Some of the signals that end a command, with --thorough all; to the parent of all, two are orders to children."""
+    """Some of the signals that end a command, with --long more, with --thorough all; to the parent, two are orders."""
     if "number" in metafunc.fixturenames:
         orders = (signal.SIGUSR1, signal.SIGUSR2) if "parent" in metafunc.function.__name__ else ()
-        numbers = ENDS if metafunc.config.getoption("--thorough") else FEW
-        metafunc.parametrize("number", [number for number in numbers if number not in orders], ids=name_signal)
+        levels = dict.fromkeys(ENDS, pytest.mark.thorough) | dict.fromkeys(FURTHER, pytest.mark.long)
+        levels = {number: level for number, level in levels.items() if number not in FEW}
+        numbers = [number for number in ENDS if number not in orders]
+        params = [pytest.param(number, marks=levels.get(number, ()), id=name_signal(number)) for number in numbers]
+        metafunc.parametrize("number", params)
 
 
 def test_a_signal_to_the_terminals_process_group_stops_everything(
@@ -177,7 +182,7 @@ def test_the_time_limit_says_what_was_missing(
     assert_nothing_left(started_in(events_in(folder)))
 
 
-@pytest.mark.parametrize("victim", ["area2", "plant", "router"])
+@pytest.mark.parametrize("victim", ["area2", *further("plant", "router")])
 def test_a_crashed_process_ends_the_run(start_run, deaf_scenario, assert_nothing_left, victim: str):
     run = start_run(deaf_scenario)
     run.wait_until_joined("area1", "area2")

@@ -14,6 +14,7 @@ from agents.security.access import PLANT
 from coordinator.watch.recording.folder import LOGS
 from coordinator.watch.replay.ticks import read_ticks
 from tests.support.dsse_command import ENVIRONMENT, ROOT
+from tests.support.levels import SECURED_FURTHER
 from tests.support.system_by_hand import SystemByHand, Watcher, prepare_by_hand
 from tests.support.waiting import wait_until
 
@@ -63,7 +64,7 @@ def test_a_recording_of_processes_is_whole_and_plays_back(dsse: Dsse, recording:
     assert "played on processes" in on_processes.stdout
 
 
-@pytest.mark.parametrize("secured", [False, True])
+@pytest.mark.parametrize("secured", SECURED_FURTHER)
 def test_a_run_with_a_record_table_leaves_its_recording(dsse: Dsse, secured: bool) -> None:
     done = dsse("run", "ieee33", "--set", "record={}", "--out", "run", *LIMIT, "--no-plots", *["--secure"] * secured)
     assert done.returncode == 0, done.stderr

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from agents.area_files.reader import load_area_file
 from agents.messages.keys import all_states
@@ -29,6 +30,7 @@ GAP = 1e-6  # p.u., of a good state to the centralised estimate of its split
 BEFORE, AFTER = "{ from = 7, to = 8, r_ohm = 0.7114", "{ from = 7, to = 8, r_ohm = 0.75"
 
 
+@pytest.mark.long
 def test_all_areas_go_over_together_and_no_scan_is_without_an_estimate_for_long(dsse, tmp_path: Path):
     endpoint = free_endpoint()
     assert dsse("scenarios", "copy", RUN, "new").returncode == 0

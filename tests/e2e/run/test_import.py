@@ -13,7 +13,7 @@ from tests.support.verdicts import assert_centralised
 pandapower: Any = pytest.importorskip("pandapower")
 networks: Any = pytest.importorskip("pandapower.networks")
 
-pytestmark = pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas")
+pytestmark = [pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"), pytest.mark.long]
 
 
 def test_a_town_of_pandapower_is_imported_and_its_eight_areas_agree_with_the_centralised_estimate(

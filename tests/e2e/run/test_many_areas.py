@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import coordinator
+from tests.support.levels import further
 from tests.support.waiting import DEADLINE_S
 
 
@@ -50,7 +51,7 @@ def test_the_centralised_estimate_takes_no_core_from_many_areas_that_work(
     assert result.timing_s["centralised_estimated"] >= result.timing_s["verdict"]
 
 
-@pytest.mark.parametrize("many_areas", [2, 50])
+@pytest.mark.parametrize("many_areas", [2, *further(50)])
 def test_an_interrupt_while_the_centralised_estimate_is_made_keeps_what_the_areas_have_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, many_areas: int
 ):

@@ -57,6 +57,7 @@ def test_the_command_of_every_unit_is_one_that_dsse_knows(dsse, name: str):
     assert "nowhere" in done.stderr  # where its keys or its area should be, and not: an option that is unknown
 
 
+@pytest.mark.long
 def test_a_host_that_is_cut_off_is_noticed_and_rejoins_when_its_link_is_back(tmp_path: Path):
     if reason := why_no_namespaces():
         pytest.skip(f"network namespaces are not allowed here: {reason}")

@@ -11,6 +11,7 @@ import pytest
 
 from tests.support.dsse_command import COMMAND, ENVIRONMENT
 from tests.support.foreign_distribution import write_example
+from tests.support.levels import further
 from tests.support.waiting import DEADLINE_S
 
 LIMIT = ("--timeout", str(DEADLINE_S))
@@ -31,7 +32,7 @@ def dsse(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("command", ["simulate", "run"])
+@pytest.mark.parametrize("command", ["run", *further("simulate")])
 def test_a_strategy_of_ones_own_reaches_consensus_where_messages_are_lost(command: str, tmp_path: Path):
     run = dsse(tmp_path, command, "ieee33-lossy", "--strategy", "boundary-average", *LIMIT, "--out", "out")
     assert run.returncode == 0, run.stderr

@@ -11,10 +11,11 @@ import pytest
 
 import coordinator
 from tests.support.drawn_files import draw_scenario
+from tests.support.levels import further
 from tests.support.waiting import DEADLINE_S
 
 
-@pytest.mark.parametrize("name", ["ieee33", "ieee33-lossy"])
+@pytest.mark.parametrize("name", ["ieee33-lossy", *further("ieee33")])
 def test_the_simulator_ends_where_real_processes_do(name: str, tmp_path: Path):
     real = coordinator.run(name, out=tmp_path / "real", strategy="information", plots=False, timeout_s=DEADLINE_S)
     simulator = coordinator.simulate(name, out=tmp_path / "simulator", strategy="information", plots=False)

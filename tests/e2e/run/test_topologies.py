@@ -28,7 +28,9 @@ kind = "neighbours"
 """
 
 
-@pytest.mark.parametrize("options", [(), ("--secure",)], ids=["open", "secured"])
+@pytest.mark.parametrize(
+    "options", [pytest.param((), id="open"), pytest.param(("--secure",), id="secured", marks=pytest.mark.long)]
+)
 def test_neighbours_need_no_router_even_if_the_one_they_all_link_with_dies_and_comes_back(
     start_run, edited_scenario, assert_nothing_left, options: tuple[str, ...]
 ):

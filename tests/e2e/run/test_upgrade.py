@@ -50,6 +50,7 @@ def other_python(tmp_path: Path) -> Path:
     return folder / "bin" / "python"
 
 
+@pytest.mark.long
 def test_a_feeder_is_upgraded_area_by_area_and_never_disagrees(dsse, tmp_path: Path, other_python: Path):
     endpoint = free_endpoint()
     assert dsse("split", "ieee33", "--out", "areas", "--connect", endpoint).returncode == 0

@@ -19,6 +19,7 @@ from agents.security.access import Access, find_rights
 from coordinator.lab.deployment.certificates import create_keys
 from tests.support.impostor import Impostor, let_listen
 from tests.support.keys_by_hand import AREAS, RUN, KeysByHand, scenario_of
+from tests.support.levels import further
 from tests.support.shown_states import a_state
 from tests.support.system_by_hand import Watcher
 from tests.support.waiting import DEADLINE_S, wait_until
@@ -54,7 +55,10 @@ def is_due(access: Access, name: str, key: str) -> bool:
     return any(zenoh.KeyExpr(allowed).intersects(key) for allowed in (*rights.receives, *rights.sees))
 
 
-@pytest.mark.parametrize("is_for_everything", [False, True], ids=["as made", "good for everything"])
+@pytest.mark.parametrize(
+    "is_for_everything",
+    [pytest.param(False, id="as made", marks=pytest.mark.long), pytest.param(True, id="good for everything")],
+)
 def test_with_the_key_of_an_area_nobody_is_taken_for_the_router(
     edited_scenario: Callable[..., Path], tmp_path: Path, is_for_everything: bool
 ):
@@ -105,7 +109,7 @@ def test_between_neighbours_the_key_of_an_area_receives_and_forges_nobody_else(
             assert system.end(name) == 0, system.read_log(name)
 
 
-@pytest.mark.parametrize("name", ["area2", "area3", "plant", "coordinator", "router"])
+@pytest.mark.parametrize("name", ["area2", "router", *further("area3", "plant", "coordinator")])
 def test_between_neighbours_whoever_calls_everybody_receives_its_due_only(
     edited_scenario: Callable[..., Path], tmp_path: Path, name: str
 ):

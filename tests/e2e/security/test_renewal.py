@@ -19,6 +19,7 @@ from coordinator.lab.deployment.certificates import create_keys
 from tests.support.expiring import let_expire
 from tests.support.impostor import Impostor
 from tests.support.keys_by_hand import AREAS, RUN, KeysByHand, scenario_of
+from tests.support.levels import further
 from tests.support.system_by_hand import Watcher
 from tests.support.waiting import wait_until
 
@@ -57,7 +58,7 @@ def watch_until_seen(dsse: Callable, system: KeysByHand, *names: str) -> set[str
     return seen
 
 
-@pytest.mark.parametrize("kind", ["router", "neighbours"])
+@pytest.mark.parametrize("kind", ["router", *further("neighbours")])
 def test_keys_of_a_new_authority_end_neither_a_process_nor_the_exchange(
     dsse, edited_scenario: Callable[..., Path], tmp_path: Path, kind: str
 ):

@@ -15,11 +15,12 @@ from coordinator.lab.evaluation.evaluation import estimate_centralised
 from dsse_core.results.results import results_of_estimate
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.levels import SECURED_FURTHER
 from tests.support.system_by_hand import SystemByHand, agreeing_system, prepare_by_hand
 from tests.support.waiting import wait_until
 
 
-@pytest.mark.parametrize("secured", [False, True], ids=["open", "secured"])
+@pytest.mark.parametrize("secured", SECURED_FURTHER)
 def test_what_flows_in_an_area_is_what_the_centre_would_say(dsse, tmp_path: Path, secured: bool):
     with agreeing_system(dsse, tmp_path, secured) as (_, _, _, keys):
         shown = dsse("flows", "areas/area2.toml", *keys, "--csv", "branches")

@@ -12,6 +12,7 @@ import pytest
 
 from dsse_core.files.drafts import DRAFT
 from tests.support.dsse_command import COMMAND, ENVIRONMENT
+from tests.support.levels import further
 from tests.support.waiting import DEADLINE_S
 
 LIMIT = ("--timeout", str(DEADLINE_S))
@@ -53,17 +54,17 @@ def interrupted_at(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[
     ("command", "module"),
     [
         ("check ieee33", "click"),
-        ("check ieee33", "coordinator.cli.main"),
-        ("check ieee33", "numpy"),
-        ("check ieee33", "numpy._core.multiarray"),
+        pytest.param("check ieee33", "coordinator.cli.main", marks=pytest.mark.long),
+        pytest.param("check ieee33", "numpy", marks=pytest.mark.long),
+        pytest.param("check ieee33", "numpy._core.multiarray", marks=pytest.mark.long),
         ("check ieee33", "numpy._core._exceptions"),  # by compiled code, which makes an ImportError of it
-        ("estimate ieee33", "scipy.sparse"),
+        pytest.param("estimate ieee33", "scipy.sparse", marks=pytest.mark.long),
         ("agent areas/area1.toml", "agents.transport.zenoh_bus"),
-        ("plant ieee33", "numpy"),
+        pytest.param("plant ieee33", "numpy", marks=pytest.mark.long),
         ("run ieee33 --out out", "coordinator.lab.process_run.run_scenario"),
-        ("run ieee33 --out out", "numpy"),
+        pytest.param("run ieee33 --out out", "numpy", marks=pytest.mark.long),
         ("run ieee33 --out out", "zenoh"),
-        ("run ieee33 --out out", "scenarios.telemetry"),
+        pytest.param("run ieee33 --out out", "scenarios.telemetry", marks=pytest.mark.long),
     ],
 )
 def test_ctrl_c_while_modules_are_loaded_shows_no_traceback(interrupted_at, command: str, module: str):
@@ -79,14 +80,14 @@ def test_ctrl_c_while_workers_of_a_sweep_load_their_modules_is_left_to_the_comma
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, *further(signal.SIGTERM)])
 def test_a_signal_after_the_verdict_does_not_change_the_exit_code(interrupted_at, number: signal.Signals):
     done = interrupted_at("matplotlib.figure", "run", "ieee33", "--out", "out", "--quiet", *LIMIT, number=number)
     assert done.stdout.startswith("consensus after")
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGTERM, *further(signal.SIGINT)])
 def test_a_signal_while_a_figure_is_written_leaves_no_part_of_it(
     interrupted_at, tmp_path: Path, number: signal.Signals
 ):

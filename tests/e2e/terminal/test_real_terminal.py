@@ -23,6 +23,7 @@ from agents.protocol.quality import UNOBSERVABLE
 from agents.runtime.presence import begin_incarnation
 from agents.transport.zenoh_bus import Session
 from tests.support.dsse_command import COMMAND, ENVIRONMENT, ROOT, free_endpoint
+from tests.support.levels import further
 from tests.support.repeating import repeating
 from tests.support.system_by_hand import SystemByHand
 from tests.support.waiting import DEADLINE_S, wait_until
@@ -114,7 +115,7 @@ def test_a_watcher_in_a_terminal_shows_what_strangers_say_and_obeys_none_of_it(t
     assert_harmless(lines)
 
 
-@pytest.mark.parametrize("size", [(24, 80), (40, 120)])
+@pytest.mark.parametrize("size", [(24, 80), *further((40, 120))])
 def test_a_watcher_fits_its_terminal_and_says_what_it_leaves_out(size: tuple[int, int], tmp_path):
     endpoint, (high, wide) = free_endpoint(), size
     with SystemByHand(tmp_path) as system:
@@ -161,7 +162,7 @@ def test_a_run_in_a_terminal_ends_with_its_verdict_whatever_strangers_say(deaf_s
     assert_harmless(output)
 
 
-@pytest.mark.parametrize("command", ["run", "simulate", "check"])
+@pytest.mark.parametrize("command", ["run", *further("simulate", "check")])
 def test_the_name_of_a_file_is_text_in_tables_and_pictures(command: str, tmp_path: Path):
     (tmp_path / "[").mkdir()  # as far as the slash the name is that of a folder
     name = "[/nope]$\\frac$\x1b]0;owned\x07.toml"
@@ -181,7 +182,7 @@ def test_an_error_about_a_strangers_file_is_text(tmp_path):
     assert_harmless(output)
 
 
-@pytest.mark.parametrize("name", [b"\xc3\x98rsted.toml", b"no text \xff.toml"])
+@pytest.mark.parametrize("name", [b"no text \xff.toml", *further(b"\xc3\x98rsted.toml")])
 def test_a_name_that_the_terminal_cannot_write_is_no_traceback(name: bytes, tmp_path):
     text = (ROOT / "scenarios" / "shipped" / "industrial13.toml").read_text()
     (tmp_path / os.fsdecode(name)).write_text(text)

@@ -17,6 +17,7 @@ from agents.runtime.presence import begin_incarnation
 from agents.transport.zenoh_bus import Session
 from tests.support.browser import browsing, cell_of, find_chromium, keep_picture, open_play, serve, wait_for_moment
 from tests.support.dsse_command import free_endpoint
+from tests.support.levels import further
 from tests.support.system_by_hand import SystemByHand, agreeing_system
 from tests.support.waiting import DEADLINE_S, wait_until
 
@@ -111,7 +112,7 @@ def test_a_run_is_played_back_with_the_keyboard_alone(tmp_path: Path):
         page.wait_for_selector("#facts >> text=degrees of freedom")
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", ["dark", *further("light")])
 def test_assistive_technology_finds_its_way(tmp_path: Path, scheme: str):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright")
     with SystemByHand(tmp_path) as system, browsing(color_scheme=scheme) as page:

@@ -56,6 +56,7 @@ def results(run):
     return json.loads((run / "results.json").read_text())
 
 
+@pytest.mark.long
 def test_all_objectives_of_the_reduced_run_agree(results):
     found = [row for row in results["estimates"] if row["outcome"] and row["method"] != OTHER_MINIMUM]
     assert {row["method"] for row in found} >= {method.name for method in OURS}
@@ -64,6 +65,7 @@ def test_all_objectives_of_the_reduced_run_agree(results):
         assert row["outcome"]["difference"] < 1e-6, row["method"]
 
 
+@pytest.mark.long
 def test_every_method_has_a_row_and_without_peers_ours_alone_are_timed(results, request):
     peers = PEERS if request.config.getoption("--thorough") else ()
     assert [row["method"] for row in results["estimates"]] == [m.name for m in (*OURS, *OURS_WITH_RESIDUALS, *peers)]
@@ -87,12 +89,14 @@ def test_a_peer_has_a_row_with_its_ratio_to_every_back_end_of_ours_or_how_to_ins
             assert row.outcome.difference < 1e-6, row.method
 
 
+@pytest.mark.long
 def test_our_estimate_solves_the_random_draw_of_the_reduced_run(results):
     assert all(
         row["estimated"] == row["tried"] == 1 for row in results["random_draws"] if row["method"] == OURS[0].name
     )
 
 
+@pytest.mark.long
 def test_table_and_plot_are_written(run, results):
     table = (run / "results.md").read_text()
     assert all(row["method"] in table for row in results["estimates"])
