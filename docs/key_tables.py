@@ -18,7 +18,9 @@ from typing import Any, get_args
 
 from pydantic.fields import FieldInfo
 
-from dsse_core.files import quantities
+from agents.area_files.tables import PlainKeys
+from agents.protocol.configuration import Configuration, plain_keys
+from dsse_core import limits
 from dsse_core.files.strict_table import Table
 
 PAGES = tuple((Path(__file__).parent / "reference").glob("*.md"))
@@ -29,7 +31,7 @@ MODULES = (
     "dsse_core.files.shared_tables",
     "agents.security.access_file",
 )
-OF_AREA_FILES = {"AreaFile": "AreaTable"}  # a scenario's AreaTable has the same name
+OF_AREA_FILES = {"AreaFile": "AreaTable", "AreaKeys": "PlainKeys"}  # a scenario's AreaTable has the same name
 MARKED = re.compile(r"<!-- keys (?P<names>[\w ]+) -->\n(?:\n(?:\|.*\n)+)?")
 TYPES = {
     "AreaSelection": '`"all"` or list of texts',
@@ -79,9 +81,10 @@ def write_tables(text: str) -> str:
 
 def list_rows(table: type[Table]) -> Iterator[str]:
     """A line for each key that ``table`` does not inherit."""
-    meanings = read_meanings(table)
-    for name, annotation in vars(table)["__annotations__"].items():
-        if name in table.model_fields:
+    source = Configuration if table is PlainKeys else table
+    meanings = read_meanings(source)
+    for name, annotation in vars(source)["__annotations__"].items():
+        if name in table.model_fields and (source is table or name in dict(plain_keys())):
             field = table.model_fields[name]
             meaning = meanings.get(name) or sentence(field.description or "")
             kind = f"{type_of(annotation, field)}{default_of(field)}"
@@ -89,7 +92,7 @@ def list_rows(table: type[Table]) -> Iterator[str]:
             yield "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
 
 
-def read_meanings(table: type[Table]) -> dict[str, str]:
+def read_meanings(table: type[Any]) -> dict[str, str]:
     """Field -> the string that stands below it in the source."""
     body = ast.parse(textwrap.dedent(inspect.getsource(table))).body[0].body  # type: ignore[attr-defined]
     return {
@@ -109,20 +112,20 @@ def sentence(description: str) -> str:
 
 def type_of(annotation: str, field: FieldInfo) -> str:
     """Type of a key in words, with its range."""
-    name = annotation.removesuffix(" | None")
+    name = re.sub(r"^Annotated\[(.*?), Field\(description=.*$", r"\1", annotation).removesuffix(" | None")
     if name in TYPES:
         return TYPES[name]
     if options := re.fullmatch(r"Literal\[(.*)\]", name):
         return ", ".join(f"`{option}`" for option in options[1].replace("'", '"').split(", "))
-    if name.startswith("list[") or name.startswith("dict["):
-        inner = re.sub(r"^\w+\[(?:\w+, )?(.*)\]$", r"\1", name)
+    if name.startswith(("list[", "dict[", "tuple[")):
+        inner = re.sub(r"^\w+\[(?:\w+, )?(.*?)\]$", r"\1", name.replace(", ...", ""))
         return {"int": "list of integers", "str": "list of texts", "ClockError": "table"}.get(inner, "tables")
     if name.endswith("Table"):
         return "table"
-    limits = list(limits_of(getattr(quantities, name, None) or field.annotation)) + list(field.metadata)
-    lowest = next((limit.ge for limit in limits if getattr(limit, "ge", None) is not None), None)
-    above = next((limit.gt for limit in limits if getattr(limit, "gt", None) is not None), None)
-    highest = next((limit.le for limit in limits if getattr(limit, "le", None) is not None), None)
+    bounds = list(limits_of(getattr(limits, name, None) or field.annotation)) + list(field.metadata)
+    lowest = next((limit.ge for limit in bounds if getattr(limit, "ge", None) is not None), None)
+    above = next((limit.gt for limit in bounds if getattr(limit, "gt", None) is not None), None)
+    highest = next((limit.le for limit in bounds if getattr(limit, "le", None) is not None), None)
     kind = "integer" if "int" in name or name == "Seed" else "number"
     if above is not None:
         return f"{kind} > {above:g}" + (f", at most {highest:g}" if highest is not None else "")
@@ -141,7 +144,7 @@ def default_of(field: FieldInfo) -> str:
     """Ending of the type: ``required``, the default in brackets, or nothing for a key that may be left out."""
     if field.is_required():
         return ", required"
-    if field.default is None or isinstance(field.default, Table) or field.default_factory is not None:
+    if field.default in (None, ()) or isinstance(field.default, Table) or field.default_factory is not None:
         return ""
     if isinstance(field.default, str):
         return f' (`"{field.default}"`)'

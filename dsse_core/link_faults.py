@@ -4,55 +4,58 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-Window = tuple[float, float]
+from dsse_core.limits import Moment, NotNegative, Positive, Probability
+
+Window = tuple[NotNegative, NotNegative]
 """Beginning and end, s since the start of the run; a run starts when all its areas are on the bus."""
 
 
 @dataclass(frozen=True, slots=True)
 class LinkFaults:
-    """The faults of one directed link; probabilities are per message, powers and magnitudes p.u., angles rad.
+    """The faults of one directed link; probabilities are per message, powers and magnitudes p.u., angles rad."""
 
-    Args:
-        loss: probability that a message is lost, outside bursts.
-        burst_enter, burst_leave: probabilities that a burst begins at a message, or has ended at it (Gilbert-Elliott).
-        burst_loss: probability that a message within a burst is lost.
-        delay_s, jitter_s: a message is held back ``delay_s`` plus a uniform part of ``jitter_s``; jitter reorders.
-        duplicate: probability that a message is sent twice, each time with a delay of its own.
-        corrupt: probability that the bytes of a message are damaged, flipped or cut short.
-        load_p, load_q: added to the load in a load message. load_scale: multiplies it. load_frozen: every load message
-            repeats the first.
-        lie_p, lie_q, lie_vm, lie_va, lie_scale: messages state ``lie_scale`` y plus these in place of y = (p, q, vm,
-            va) at the boundary.
-        lie_objective: multiplies J in totals. lie_areas: number of areas that totals count, none of them silent or
-            stale, and the side complete; 0 changes nothing. lie_worst: the meter that totals name as the worst; empty
-            changes nothing. Verdicts follow from the totals that are sent. lie_verdict: stated in place of a verdict.
-        until_s: the time at which these faults end, s since the start of the run; None is never.
-        cuts: windows in which no message passes.
-    """
-
-    loss: float = 0.0
-    burst_enter: float = 0.0
-    burst_leave: float = 1.0
-    burst_loss: float = 1.0
-    delay_s: float = 0.0
-    jitter_s: float = 0.0
-    duplicate: float = 0.0
-    corrupt: float = 0.0
+    loss: Probability = 0.0
+    """Probability of the loss of a message, outside bursts."""
+    burst_enter: Probability = 0.0
+    """Probability of a burst to begin at a message (Gilbert-Elliott)."""
+    burst_leave: Probability = 1.0
+    """Probability of a burst to have ended at a message."""
+    burst_loss: Probability = 1.0
+    """Probability of the loss of a message within a burst."""
+    delay_s: Moment = 0.0
+    """Time for which each message is held back."""
+    jitter_s: Moment = 0.0
+    """A uniform part of it is added to the delay of each message, so that messages overtake each other."""
+    duplicate: Probability = 0.0
+    """Probability of a message to be sent twice, each time with a delay of its own."""
+    corrupt: Probability = 0.0
+    """Probability of damage to the bytes of a message, flipped or cut short."""
     load_p: float = 0.0
+    """Added to the load in a load message."""
     load_q: float = 0.0
+    """The same of reactive power."""
     load_scale: float = 1.0
+    """Multiplies the load in a load message."""
     load_frozen: bool = False
+    """Every load message repeats the first."""
     lie_p: float = 0.0
+    """Messages state ``lie_scale`` y plus this and the next three in place of y = (p, q, vm, va) at the boundary."""
     lie_q: float = 0.0
     lie_vm: float = 0.0
     lie_va: float = 0.0
-    lie_scale: float = 1.0
+    lie_scale: Positive = 1.0
     lie_objective: float = 1.0
+    """Multiplies J in totals; verdicts follow from the totals that are sent."""
     lie_areas: int = 0
+    """Number of areas that totals count, none of them silent or stale, and the side complete; 0 changes nothing."""
     lie_worst: str = ""
+    """Meter that totals name as the worst; empty changes nothing."""
     lie_verdict: str = ""
+    """Stated in place of a verdict; empty changes nothing."""
     until_s: float | None = None
+    """Time at which these faults end, s since the start of the run; None is never."""
     cuts: tuple[Window, ...] = ()
+    """Windows in which no message passes."""
 
     @property
     def has_windows(self) -> bool:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
 from dsse_core.grid.measurement import MeasurementKind
+from dsse_core.limits import Seconds
 
 Ticks = Literal["gateway", "clock"]
 """The source of scan numbers: the gateway that leads, or the clock of each area, by UTC."""
@@ -23,20 +24,18 @@ LEAD_SHARE = 1 / 4  # of the time between two scans, if that is more
 
 @dataclass(frozen=True, slots=True)
 class KindRule:
-    """The rule for the readings of one kind of meter, s, p.u. and rad.
+    """The rule for the readings of one kind of meter, s, p.u. and rad."""
 
-    Args:
-        period_s: interval of these meters; None: they read at every scan, and their readings do not age.
-        aging_s: age at which the variance has doubled, only with a period; None: the period.
-        oldest_s: older readings are left out; None: ``OLDEST_INTERVALS`` periods or scans, whichever is longer.
-        lowest, highest: readings outside are out of range.
-    """
-
-    period_s: float | None = None
-    aging_s: float | None = None
-    oldest_s: float | None = None
+    period_s: Seconds | None = None
+    """Interval of these meters; None: they read at every scan, and their readings do not age."""
+    aging_s: Seconds | None = None
+    """Age at which the variance has doubled, only with a period; None: the period."""
+    oldest_s: Seconds | None = None
+    """Age beyond which readings are left out; None: ``OLDEST_INTERVALS`` periods or scans, whichever is longer."""
     lowest: float | None = None
+    """Readings below are out of range."""
     highest: float | None = None
+    """Readings above are out of range."""
 
     def interval_s(self, scan_s: float | None) -> float:
         """Time between two readings that are used, s: the period, or ``scan_s`` if longer; 0 where neither is known."""

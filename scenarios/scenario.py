@@ -341,12 +341,7 @@ def _build_scenario(
         tolerances=file.tolerances,
         run=file.run,
         transport=file.transport,
-        limits=StateLimits(
-            lowest_vm=file.quality.lowest_vm_pu,
-            highest_vm=file.quality.highest_vm_pu,
-            most_removed=file.quality.most_removed,
-            most_overdue=file.quality.most_overdue,
-        ),
+        limits=StateLimits(**{key.removesuffix("_pu"): value for key, value in vars(file.quality).items()}),
         reading_rules=build_reading_rules(file, partition, meters),
         record=file.record,
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from agents.area_files.tables import area_table
-from agents.protocol.configuration import Configuration, SplitStamp, keys_of
+from agents.protocol.configuration import Configuration, SplitStamp, keys_of, plain_keys
 from dsse_core.endpoints import find_problems_in
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import StateLimits
@@ -44,23 +44,15 @@ def load_area_file(path: Path, strategies: Collection[str] | None = None) -> Con
     if problems:
         raise InvalidInputError(t.called(path), problems)
     return Configuration(
-        run=t.run,
+        **{key: getattr(t, key) for key, _ in plain_keys()},
         area=_area_of(t, network),
         meters=meters,
-        strategy=t.strategy,
-        endpoints=tuple(t.endpoints),
-        listen=tuple(t.listen),
-        beat_s=t.beat_s,
-        scan_s=t.scan_s,
-        tolerance=t.tolerance,
         generation=t.load_messages.generation,
         load_error=complex(t.load_messages.p_error, t.load_messages.q_error),
         links={n.area: LinkFaults(**vars(n.faults)) for n in t.neighbour},
-        seed=t.seed,
         penalty=t.admm.penalty,
         limits=StateLimits(**vars(t.quality)),
         readings=_rules_of(t.telemetry),
-        clock_error_s=t.clock_error_s,
         split=SplitStamp(**vars(t.split)) if t.split else None,
     )
 

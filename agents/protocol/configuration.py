@@ -13,79 +13,83 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from operator import attrgetter
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from agents.protocol.configuration_digest import digest_configuration
 from dsse_core.estimation.state_limits import DEFAULT_LIMITS, StateLimits
+from dsse_core.files.quantities import Name
 from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.meter_table import list_columns
 from dsse_core.grid.network import Branch, Bus, Generator
 from dsse_core.grid.partition import Area, Neighbour
+from dsse_core.limits import ClockError, HeartbeatSeconds, Positive, ScanSeconds, Seed
 from dsse_core.link_faults import LinkFaults
 from dsse_core.reading_rules import DEFAULT_RULES, ReadingRules
-from dsse_core.split_identity import NO_SPLIT, SplitIdentity
+from dsse_core.split_identity import DIGITS, END_OF_TIME, NO_SPLIT, SplitIdentity
+
+Digest = Annotated[str, Field(pattern=rf"^[0-9a-f]{{{DIGITS}}}$")]
 
 
 @dataclass(frozen=True, slots=True)
 class SplitStamp:
-    """Stamp that a split writes into each of its files. Stamps of one content are equal, whenever they were made.
+    """Stamp that a split writes into each of its files. Stamps of one content are equal, whenever they were made."""
 
-    ``digest``: of the split, 16 hex digits. ``content``: of this file. ``time``: of the split, s since 1970 UTC.
-    """
+    digest: Annotated[Digest, Field(description="digest of the split, the same in all of its area files")]
+    content: Annotated[Digest, Field(description="digest of this file as the split has written it")]
+    time: Annotated[float, Field(ge=0, lt=END_OF_TIME, description="time of the split, s since 1970 UTC")] = field(
+        compare=False
+    )
 
-    digest: str
-    content: str
-    time: float = field(compare=False)
+
+OF_TABLES = {"area", "meters", "generation", "load_error", "links", "penalty", "limits", "readings", "split"}
+"""Fields that are tables of an area file, or parts of them. Each other field is a key of the file: its name, its type
+with the range, its default and its meaning in errors.
+"""
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """One area as its agent knows it.
+    """One area as its agent knows it."""
 
-    Args:
-        run: name of the system that the area belongs to; a part of every key.
-        meters: the area's meters, virtual ones included; readings come by telemetry.
-        strategy: name of the boundary-exchange strategy.
-        endpoints: Zenoh endpoints to connect to, e.g. ``tcp/127.0.0.1:7447``: routers of which one is enough, or,
-            of an area that listens itself, neighbours.
-        listen: where neighbours, plant and watchers link with this area directly; empty if they meet at a router.
-        beat_s: interval at which the last messages are repeated, s.
-        scan_s: time between two scans, s; None where it is not known.
-        tolerance: the local estimate stops at max |dx| below it, p.u. and rad.
-        generation: load messages count the "telemetered" injection of substation and generators, or the
-            "scheduled" one.
-        load_error: added to the load at each boundary bus (eqs. 5.4, 5.5), p.u.
-        links: neighbour -> injected faults of the link to it; the link to any other neighbour is sound.
-        seed: of the injected faults.
-        penalty: of strategy ``admm``.
-        limits: of a reliable estimate.
-        readings: the gateway or clock that numbers scans, the gateways of the meters, and the ages of readings.
-        clock_error_s: injected fault: lead of the area's clock, s.
-        split: stamp of the split of the configuration (``configuration_digest.py``); None in files of versions
-            without splits.
-    """
-
-    run: str
+    run: Annotated[Name, Field(description="name of the system that the area belongs to")]
+    """Name of the system that the area belongs to; a part of every key on the bus."""
     area: Area
     meters: Sequence[Meter]
-    strategy: str
-    endpoints: tuple[str, ...]
+    """The area's meters, virtual ones included; readings come by telemetry."""
+    strategy: Annotated[str, Field(description="how the areas exchange what they know")]
+    """Strategy of the exchange."""
+    endpoints: Annotated[tuple[str, ...], Field(description="where to find the bus, e.g. tcp/127.0.0.1:7447")]
+    """Where to find the bus: routers, of which one is enough, or neighbours with direct links. May be edited."""
     listen: tuple[str, ...] = ()
-    beat_s: float = 0.2
-    scan_s: float | None = None
-    tolerance: float = 1e-6
+    """Where the agent listens, with direct links. May be edited."""
+    beat_s: HeartbeatSeconds = 0.2
+    """Interval at which the last messages are repeated, s: `run.beat_s` of the scenario. May be edited."""
+    scan_s: ScanSeconds | None = None
+    """Time between two scans, s, where it is known: `run.scan_s` of the scenario."""
+    tolerance: Positive = 1e-6
+    """Largest last step of the estimator, p.u. and rad."""
     generation: str = "telemetered"
+    """Load messages count the "telemetered" injection of substation and generators, or the "scheduled" one."""
     load_error: complex = 0j
+    """Injected fault: added to the load at each boundary bus (eqs. 5.4, 5.5), p.u."""
     links: dict[str, LinkFaults] = field(default_factory=dict)
-    seed: int = 0
+    """Neighbour -> injected faults of the link to it; the link to any other neighbour is sound."""
+    seed: Seed = 0
+    """Seed of the injected faults."""
     penalty: float = 1.0
+    """Penalty of strategy ``admm``."""
     limits: StateLimits = DEFAULT_LIMITS
+    """Limits of a reliable estimate."""
     readings: ReadingRules = DEFAULT_RULES
-    clock_error_s: float = 0.0
+    """The gateway or clock that numbers scans, the gateways of the meters, and the ages of readings."""
+    clock_error_s: ClockError = 0.0
+    """Injected error of the clock: its lead, s."""
     split: SplitStamp | None = field(default=None, compare=False)
+    """Stamp of the split of the configuration; None in files of versions without splits."""
 
     @functools.cached_property
     def identity(self) -> SplitIdentity:
@@ -124,16 +128,8 @@ def table_of(content: Configuration, all_of: Callable[[Any, Sequence[Any]], Any]
     slack = {"bus": area.slack_bus} | ({} if area.slack_vm is None else {"vm": area.slack_vm})
     return {
         **({"split": dataclasses.asdict(content.split)} if content.split else {}),
-        "run": content.run,
         "area": area.name,
-        "strategy": content.strategy,
-        "endpoints": list(content.endpoints),
-        **({"listen": list(content.listen)} if content.listen else {}),
-        "beat_s": content.beat_s,
-        **({"scan_s": content.scan_s} if content.scan_s is not None else {}),
-        "tolerance": content.tolerance,
-        "seed": content.seed,
-        **({"clock_error_s": content.clock_error_s} if content.clock_error_s else {}),
+        **_plain_values(content),
         "admm": {"penalty": content.penalty},
         "quality": dataclasses.asdict(content.limits),
         **({"telemetry": _readings_table(content.readings)} if content.readings != DEFAULT_RULES else {}),
@@ -159,6 +155,19 @@ def table_of(content: Configuration, all_of: Callable[[Any, Sequence[Any]], Any]
             "generator": all_of(Generator, network.generators),
         },
         "meter": all_of(Meter, content.meters),
+    }
+
+
+def plain_keys() -> list[tuple[str, Any]]:
+    """Returns name and default of each field that is a key of an area file by itself."""
+    return [(key, default) for key, default in keys_of(Configuration) if key not in OF_TABLES]
+
+
+def _plain_values(content: Configuration) -> dict[str, Any]:
+    """Returns the keys of ``plain_keys`` with their values, without those that have an empty default."""
+    values = ((key, getattr(content, key), default) for key, default in plain_keys())
+    return {
+        key: list(value) if isinstance(value, tuple) else value for key, value, default in values if value or default
     }
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Literal, TypeVar
 
-from dsse_core.files.quantities import Penalty
 from dsse_core.files.strict_table import Table
+from dsse_core.limits import Penalty
 
 AnyTable = TypeVar("AnyTable", bound=Table)
 

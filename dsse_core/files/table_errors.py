@@ -38,7 +38,7 @@ def _describe(model: type[BaseModel], error: ErrorDetails, meant: Meant) -> str:
         return f"{key}: {text}" if key else text
     found = "a table" if isinstance(error["input"], dict) else _show(error["input"])
     text = error["msg"].replace("Input should", "must", 1).replace("String should", "must", 1)
-    text = re.sub(r"a valid dictionary( or instance of \w+)?", "a table", text)
+    text = re.sub(r"a valid dictionary( or instance of \w+)?", "a table", text).replace("a valid tuple", "a valid list")
     return f"{key or 'the file'}: {text}, found {found}" + (f" ({meaning})" if meaning else "")
 
 

@@ -6,9 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from dsse_core.files.quantities import ClockError, Milliseconds, Moment, NotNegative, Positive, Probability, Seconds
 from dsse_core.files.strict_table import Table
-from dsse_core.limits import LONGEST_NAME
+from dsse_core.limits import LONGEST_NAME, ClockError, Milliseconds, Moment, NotNegative, Positive, Probability, Seconds
 
 MOMENTARY = ("kill", "restart")
 LASTING = ("pause", "cut", "silent")

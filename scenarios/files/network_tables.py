@@ -7,9 +7,9 @@ from typing import Annotated, ClassVar, Literal, Self, TypeVar
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from dsse_core.files.kinds import NETWORK_FILE, FileKind
-from dsse_core.files.quantities import BRANCH_ID, Positive
+from dsse_core.files.quantities import BRANCH_ID
 from dsse_core.files.strict_table import ColumnsTable, FileTable, Table
-from dsse_core.limits import LONGEST_NAME
+from dsse_core.limits import LONGEST_NAME, Positive
 
 NOTHING = (None,) * 4
 MIXED = "mixes ohm and microsiemens with r_pu/x_pu/b_pu/g_pu; give all of them in one of the two units"

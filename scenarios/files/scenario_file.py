@@ -9,10 +9,13 @@ from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, Tag,
 from dsse_core.endpoints import find_endpoint_problem
 from dsse_core.estimation.state_limits import DEFAULT_LIMITS
 from dsse_core.files.kinds import SCENARIO_FILE, FileKind
-from dsse_core.files.quantities import (
+from dsse_core.files.quantities import Name, Version
+from dsse_core.files.shared_tables import AdmmTable, GenerationTable, require_a_band
+from dsse_core.files.strict_table import FileTable, Table
+from dsse_core.limits import (
+    LONGEST_NAME,
     GrossError,
     HeartbeatSeconds,
-    Name,
     NotNegative,
     Positive,
     Probability,
@@ -20,11 +23,7 @@ from dsse_core.files.quantities import (
     Seconds,
     Seed,
     Sigma,
-    Version,
 )
-from dsse_core.files.shared_tables import AdmmTable, GenerationTable, require_a_band
-from dsse_core.files.strict_table import FileTable, Table
-from dsse_core.limits import LONGEST_NAME
 from dsse_core.reading_rules import LEADER, Ticks
 from scenarios.files.fault_tables import FaultsTable
 
