@@ -18,9 +18,9 @@ from agents.runtime.presence import begin_incarnation
 from agents.security.access import COORDINATOR
 from coordinator.lab.evaluation.comparison import rows_of
 from coordinator.lab.evaluation.evaluation import estimate_centralised
-from coordinator.lab.process_run.faults.clock import RunClock
 from coordinator.lab.process_run.fork_server import Ended, Started
 from coordinator.lab.process_run.processes import Launcher
+from coordinator.lab.process_run.run_status import RunClock
 from coordinator.lab.process_run.system import System
 from coordinator.watch.observe.updates import Updates
 from scenarios.scenario import Scenario

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from benchmarks.page.feed import RUN, Feed
 from coordinator.lab.evaluation.evaluation import choose_scenario
-from coordinator.show.web import sources, stream
+from coordinator.show.web import app, sources
 from coordinator.show.web.server import Place, serve
 from coordinator.show.web.sources import LiveSource
 from coordinator.watch.observe.grid_tables import GridTables
@@ -58,7 +58,7 @@ def _serve(sender: Connection, scenario: str, is_hurried: bool) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the parent, which ends this process
     chosen = choose_scenario(scenario)
     if is_hurried:
-        sources.UPDATE_S, sources.BUSY_SHARE, sources.MOST_RATE, stream.LOOK_S = 0.0, 0, 10**12, 0.001
+        sources.UPDATE_S, sources.BUSY_SHARE, sources.MOST_RATE, app.LOOK_S = 0.0, 0, 10**12, 0.001
     source = LiveSource(Feed(chosen), GridTables(chosen), RUN)
     source.start()
     try:

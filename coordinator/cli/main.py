@@ -280,7 +280,7 @@ def estimate(
 
 def _estimate_once(loaded: Scenario, output: Output) -> None:
     from coordinator.lab.evaluation.answers import estimate_as_json
-    from coordinator.lab.evaluation.whole_grid import estimate_whole_grid
+    from coordinator.lab.evaluation.scan_estimates import estimate_whole_grid
     from coordinator.show.report.grid_text import format_bad_data, format_estimate
     from dsse_core.results.results import TABLES, results_of_estimate
 
@@ -295,7 +295,7 @@ def _estimate_scans(loaded: Scenario, scans: Scans, output: Output) -> int:
     """Estimate every scan and print the results; the exit code, 1 if a scan has no estimate."""
     from coordinator.lab.evaluation.answers import scans_as_json
     from coordinator.lab.evaluation.scan_estimates import estimate_scans
-    from coordinator.show.report.scan_text import format_scans
+    from coordinator.show.report.grid_text import format_scans
     from dsse_core.results.scans import ScanTables
 
     output.check_table(ScanTables.names, "of many scans")

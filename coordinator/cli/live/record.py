@@ -82,7 +82,7 @@ def replay(folder: Path, processes: bool, speed: float | None, scenario: str | N
     """
     from coordinator.lab.evaluation.evaluation import choose_scenario
     from coordinator.lab.stages.play import play_on_processes, play_on_simulator
-    from coordinator.watch.replay.text import format_replay
+    from coordinator.watch.replay.replay import format_replay
 
     end_orderly_on_signals()
     other = None if scenario is None else choose_scenario(scenario)

@@ -109,7 +109,7 @@ def _simulated(scenario: str, changes: Mapping[str, object]) -> Iterator[Source]
 @contextmanager
 def _recorded(folder: Path, scenario: str | None, changes: Mapping[str, object]) -> Iterator[Source]:
     from coordinator.lab.evaluation.evaluation import choose_scenario
-    from coordinator.show.web.playback.recorded import play_recording
+    from coordinator.show.web.playback.source import play_recording
 
     notify(f"reading {folder} ...")
     notes: list[str] = []

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -157,3 +159,17 @@ def evaluate(
         duplicates=tuple(duplicates),
         readings=telemetry.union,
     )
+
+
+def start_reference_estimate(estimate: Callable[[], Centralised]) -> Future[Centralised]:
+    """Make the centralised estimate on a daemon thread, which does not delay the end of the program."""
+    future: Future[Centralised] = Future()
+
+    def make() -> None:
+        try:
+            future.set_result(estimate())
+        except BaseException as error:
+            future.set_exception(error)
+
+    threading.Thread(target=make, name="centralised estimate", daemon=True).start()
+    return future

@@ -1,4 +1,4 @@
-"""Many scans of one grid, each estimated in one place with its bad data removed: ``dsse estimate --readings``."""
+"""Estimates in one place, with bad data removed, of one scan or of many scans of a grid: ``dsse estimate``."""
 
 from __future__ import annotations
 
@@ -10,16 +10,34 @@ from pathlib import Path
 import numpy as np
 
 from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError
-from dsse_core.estimation.bad_data import process_bad_data_with_plan
+from dsse_core.estimation.bad_data import BadDataReport, process_bad_data_with_plan
 from dsse_core.estimation.batch import BatchResult, RowFailure, describe_failure, estimate_batch
 from dsse_core.estimation.plan import EstimationPlan, build_estimation_plan
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, find_dead
 from dsse_core.grid.columns import Records, read_column, take_items
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.meter_table import find_virtual, join_meters
+from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.results.scans import ScanTables, make_scan_tables
+from scenarios.check import plan_whole_grid
 from scenarios.files.readings.file import Scans, load_scans
 from scenarios.scenario import Scenario, TelemetrySettings, find_virtual_problems
+from scenarios.telemetry import read_meters
+
+
+def estimate_whole_grid(scenario: Scenario) -> tuple[BadDataReport, PowerFlowResult | None]:
+    """The estimate of the first scan with its bad data removed, and the truth where it is known.
+
+    Raises:
+        InvalidInputError: every problem in what the meters observe.
+        NotObservableError: the readings of the scan do not determine the state.
+        PowerFlowDivergedError, EstimationDivergedError: the power flow or the estimate does not converge.
+    """
+    plan = plan_whole_grid(scenario)
+    scan = read_meters(scenario)
+    values, sigmas = np.delete(scan.values, scan.missing), np.delete(scan.sigmas, scan.missing)
+    plan = plan.without(scan.missing) if scan.missing else plan
+    return process_bad_data_with_plan(plan, values, sigmas, tolerance=scenario.tolerances.estimator), scan.truth
 
 
 @dataclass(frozen=True)

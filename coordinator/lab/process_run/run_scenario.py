@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from agents.security.access import COORDINATOR
+from agents.security.access import COORDINATOR, PLANT
 from agents.security.credential_files import AUTHORITY, credentials_in
 from agents.strategies.installed import load_strategy
 from coordinator.lab.evaluation.evaluation import (
@@ -21,11 +21,11 @@ from coordinator.lab.evaluation.evaluation import (
     evaluate,
     make_observer,
     no_consensus_within,
+    start_reference_estimate,
 )
-from coordinator.lab.evaluation.reference_estimate import start_reference_estimate
 from coordinator.lab.evaluation.result import RunResult, write_files
+from coordinator.lab.plant.plant import RESUME, SILENT
 from coordinator.lab.process_run.compile_clock import clock
-from coordinator.lab.process_run.faults.processes import do_to_processes
 from coordinator.lab.process_run.processes import Launcher, LaunchError
 from coordinator.lab.process_run.run_keys import folder_of_keys
 from coordinator.lab.process_run.run_status import (
@@ -46,6 +46,7 @@ from coordinator.watch.observe.run_address import default_run_id
 from coordinator.watch.run_folder import EVENTS, PARTS, RECORDING, make_run_folder
 from dsse_core.estimation.plan import FEWEST_BUSES_OF_RADIAL
 from dsse_core.linear import needs_compiled_code
+from scenarios.faults.schedule import Step
 from scenarios.scenario import Scenario
 from scenarios.telemetry import Telemetry, expect_telemetry
 
@@ -282,3 +283,23 @@ def _carry_out_faults(run: RunUnderWay, observer: Observer, now: float) -> None:
         for step in run.schedule.carry_out(now - run.joined, partial(do_to_processes, run.system)):
             run.events.write("fault", kind=step.kind, names=step.names)
             observer.take_fault(now)
+
+
+def do_to_processes(system: System, step: Step) -> None:
+    """Carries out one step on the processes of ``system``. Steps of links do nothing here."""
+    name = step.names[0]
+    match step.kind:
+        case "kill":
+            system.kill(name)
+        case "restart":
+            system.restart(name)
+        case "pause":
+            system.pause(name)
+        case "resume":
+            system.go_on(name)
+        case "silent":
+            system.launcher.signal(PLANT, SILENT)
+        case "speak":
+            system.launcher.signal(PLANT, RESUME)
+        case _:
+            pass  # the agents of the two areas cut and heal their link by the times in their area files

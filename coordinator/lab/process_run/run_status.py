@@ -1,21 +1,20 @@
-"""Status of a run under way: updates from its processes and areas, and the record made of them."""
+"""Status of a run under way: updates from its processes and areas, the record made of them, and its clock."""
 
 from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from agents.messages.checks import MessageError, should_log
 from agents.messages.keys import clock_key, live_key, name_of_live, sender_of
-from agents.messages.packing import ReadingsMessage, StateMessage, decode
+from agents.messages.packing import ClockMessage, Header, Incarnation, ReadingsMessage, StateMessage, decode, encode
 from agents.runtime.presence import Presence, begin_incarnation, read_leave
 from agents.security.access import COORDINATOR
 from agents.transport.zenoh_bus import Session
 from coordinator.lab.evaluation.used_readings import UsedReadings
-from coordinator.lab.process_run.faults.clock import RunClock
 from coordinator.lab.process_run.fork_server import Ended, Started
 from coordinator.lab.process_run.processes import describe_end, read_end
 from coordinator.lab.process_run.system import System
@@ -28,6 +27,27 @@ from coordinator.watch.observe.watched_keys import PresenceByName, processes_of,
 from dsse_core.estimation.plan import EstimationPlan
 from scenarios.faults.schedule import FaultSchedule
 from scenarios.scenario import Scenario
+
+
+@dataclass
+class RunClock:
+    """Publishes at every heartbeat through ``publish``; silent where it is None. ``incarnation``: the coordinator's."""
+
+    run: str
+    heartbeat_s: float
+    incarnation: Incarnation
+    publish: Callable[[bytes], None] | None = None
+    _sent: int = 0
+    _next: float = field(default=0.0)
+
+    def tick(self, elapsed_s: float) -> None:
+        """Publishes ``elapsed_s``, the duration of the run in seconds, if a heartbeat is due."""
+        if self.publish is None or elapsed_s < self._next:
+            return
+        self._next = elapsed_s + self.heartbeat_s
+        self._sent += 1
+        header = Header(self.run, COORDINATOR, self.incarnation, 0, self._sent, time.time())
+        self.publish(encode(ClockMessage(header, elapsed_s)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.messages.packing import ReadingsMessage, StateMessage
+from agents.security.access import ROUTERS
 from coordinator.lab.deployment.split import area_files
 from coordinator.lab.evaluation.evaluation import (
     NO_CHANGES,
@@ -20,7 +21,6 @@ from coordinator.lab.evaluation.evaluation import (
 from coordinator.lab.evaluation.result import RunOutcome, RunResult, write_files
 from coordinator.lab.evaluation.used_readings import UsedReadings
 from coordinator.lab.plant.held_readings import HeldReadings
-from coordinator.lab.simulator.faults import SimulatorFaults
 from coordinator.lab.simulator.simulated_recording import SimulatedRecording
 from coordinator.lab.simulator.simulator import STARTED_AT, SimulatedBus
 from coordinator.lab.simulator.subscriber import Subscriber
@@ -31,10 +31,11 @@ from coordinator.watch.observe.run_address import default_run_id
 from coordinator.watch.observe.state_log import StateLog
 from coordinator.watch.run_folder import RECORDING, make_run_folder
 from scenarios.faults.faults import LinkChanges
-from scenarios.faults.schedule import FaultSchedule
+from scenarios.faults.schedule import FaultSchedule, Step
 from scenarios.scenario import Scenario
 from scenarios.telemetry import find_lateness, make_telemetry
 
+LEASE_S = 2.0  # after which processes leave a frozen router for the other one
 NO_BUS = ("tcp/127.0.0.1:0",)  # endpoint in the area files
 CHECKS_PER_HEARTBEAT_S = 10
 FIRST_SCAN = 1
@@ -201,3 +202,60 @@ class Simulation:
     def _write(self, at: float, event: str, **details: Any) -> None:
         if self._events:
             self._events.write(event, at, **details)
+
+
+class SimulatorFaults:
+    """Carries out the steps of a scenario on ``bus``. ``routers``: number of linked routers that carry its messages.
+
+    A plant that is dead or frozen publishes nothing, and has the same readings afterwards. A frozen router passes no
+    message, and presence tokens stay. When the last router dies, every area sees the tokens of its neighbours vanish.
+    All processes are linked to the first of two routers, and move to the other one at once when it dies.
+    """
+
+    def __init__(self, bus: SimulatedBus, routers: int) -> None:
+        self._bus = bus
+        self._alive = list(ROUTERS[:routers])  # the first one carries all messages
+        self._frozen: dict[str, float] = {}  # router -> virtual time at which it was frozen
+
+    def do(self, step: Step) -> None:
+        """Carries out one step. Cuts of links do nothing here, because the links follow the times of their files."""
+        name = step.names[0]
+        match step.kind, name:
+            case "kill" | "pause" | "silent", "plant":
+                self._bus.plant_publishes = False
+            case "restart" | "resume" | "speak", "plant":
+                self._bus.plant_publishes = True
+            case _ if name in ROUTERS:
+                self._do_to_router(step.kind, name)
+            case "kill", _:
+                self._bus.kill(name)
+            case "restart", _:
+                self._bus.kill(name)
+                self._bus.start(name)
+            case "pause", _:
+                self._bus.pause(name)
+            case "resume", _:
+                self._bus.resume(name)
+
+    def _do_to_router(self, kind: str, name: str) -> None:
+        if kind in ("kill", "restart"):
+            self._frozen.pop(name, None)
+            if self._alive == [name]:
+                self._bus.stop_router()
+            self._alive = [other for other in self._alive if other != name]
+        if kind == "restart":
+            self._alive.append(name)
+            if self._alive == [name]:
+                self._bus.start_router()
+        elif kind == "pause":
+            self._frozen[name] = since = self._bus.now
+            self._bus.at(since + LEASE_S, lambda: self._give_up(name, since))
+        elif kind == "resume":
+            self._frozen.pop(name, None)
+        self._bus.router_runs = bool(self._alive) and self._alive[0] not in self._frozen
+
+    def _give_up(self, name: str, since: float) -> None:
+        """Moves all processes from router ``name`` to the other one, if it is still frozen since ``since``."""
+        if self._frozen.get(name) == since:
+            self._alive.sort(key=lambda other: other in self._frozen)
+            self._bus.router_runs = self._alive[0] not in self._frozen

@@ -1,4 +1,4 @@
-"""Plain text of the command line for a whole grid: power flow, estimate, and the layout of tables."""
+"""Plain text of the command line for a whole grid: power flow, estimate, and many scans."""
 
 from __future__ import annotations
 
@@ -8,14 +8,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from coordinator.lab.evaluation.scan_estimates import ScanEstimates
 from coordinator.show.report.number_cells import place, write_fixed, write_significant, write_texts
+from coordinator.watch.tables.text_table import format_table
 from dsse_core.estimation.bad_data import BadDataReport, SuspectKept
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.printable import all_printable, printable, shortened
 from dsse_core.results.results import Results
+from dsse_core.results.scans import ScanTables
 from dsse_core.results.table import Table
 from dsse_core.results.units import base_kw
 
+LONGEST_LIST = 40
+HEADER = ("scan", "readings", "J", "limit", "iterations", "lowest vm p.u.", "at bus", "removed as bad data")
 LONGEST_NAME_SHOWN = 24
 SMALLEST_SHOWN = 1e-6  # kW, kvar, A
 
@@ -166,3 +171,21 @@ def _power(value: float) -> str:
     if math.isnan(value):
         return "-"
     return "0" if abs(value) < SMALLEST_SHOWN else f"{value:.2f}" if abs(value) >= 1 else f"{value:.3g}"
+
+
+def format_scans(found: ScanEstimates, tables: ScanTables) -> str:
+    """A line for each estimated scan, a total, then a line for each failed scan with the reason."""
+    scans = tables.scans
+    rows = []
+    for k in range(len(scans)):
+        if scans.status[k] == "failed":
+            continue
+        left = " and more is detected" if scans.bad_data_left[k] else ""
+        left = f" (or {shortened(others, LONGEST_LIST)})" + left if (others := scans.undecided_meters[k]) else left
+        removed = f"{shortened(scans.removed_meters[k], LONGEST_LIST)}{left}" or "-"
+        numbers = f"{scans.objective[k]:.4g}", f"{scans.chi_square_limit[k]:.4g}", str(scans.iterations[k])
+        lowest = f"{scans.lowest_vm_pu[k]:.5f}", str(int(scans.lowest_vm_bus[k]))
+        rows.append([scans.scan[k], str(scans.readings[k]), *numbers, *lowest, removed])
+    total = f"{len(rows)} of {len(scans)} scans estimated, back end {found.batch.plan.backend}"
+    failures = [f"no estimate of {failure}" for failure in found.describe_failures()]
+    return "\n".join([*([format_table(HEADER, rows), ""] if rows else []), total, *failures])

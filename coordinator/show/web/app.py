@@ -1,4 +1,4 @@
-"""The page and its API, which is read-only."""
+"""The page and its API, which is read-only; the newest moment goes to readers as server-sent events."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
+from starlette.types import Receive, Scope, Send
 
 from coordinator.show.web.guard import Guard
 from coordinator.show.web.history import KINDS
@@ -20,9 +21,11 @@ from coordinator.show.web.moment import encode_json
 from coordinator.show.web.openapi import describe_api
 from coordinator.show.web.shown_tables import MOST_ROWS, select_rows
 from coordinator.show.web.sources import Source
-from coordinator.show.web.stream import Stream
 from coordinator.watch.http_front import Front
 
+LOOK_S = 0.05
+PULSE_S = 2.0  # between two signs of life without a new moment, which takes long to make for a large grid
+HEADERS = [(b"content-type", b"text/event-stream"), (b"x-accel-buffering", b"no")]
 STATIC = Path(__file__).parent / "static"
 LONGEST_NAME = 200  # characters of an id in a request
 KINDS_OF_ROWS = ("bus", "branch", "meter")
@@ -120,3 +123,41 @@ def _json(content: object) -> Response:
 
 def _problem(status: int, text: str) -> Response:
     return JSONResponse({"problem": text}, status)
+
+
+@dataclass(frozen=True)
+class Stream:
+    """An application that sends the newest moments of ``source`` until the reader disconnects."""
+
+    source: Source
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        await send({"type": "http.response.start", "status": 200, "headers": HEADERS})
+        if scope["method"] == "HEAD":
+            await send({"type": "http.response.body", "body": b""})
+            return
+        reading = asyncio.create_task(self._send_all(send))
+        leaving = asyncio.create_task(_wait_for_leave(receive))
+        try:
+            await asyncio.wait((reading, leaving), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in (reading, leaving):
+                task.cancel()
+            await asyncio.gather(reading, leaving, return_exceptions=True)
+
+    async def _send_all(self, send: Send) -> None:
+        number = -1
+        while True:
+            waited_s = 0.0
+            while (frame := self.source.newest).number == number and waited_s < PULSE_S:
+                await asyncio.sleep(LOOK_S)
+                waited_s += LOOK_S
+            body = b"event: pulse\ndata\n\n"  # a browser ignores events without data
+            if frame.number != number:
+                number, body = frame.number, b"id: %d\ndata: %s\n\n" % (frame.number, frame.payload)
+            await send({"type": "http.response.body", "body": body, "more_body": True})
+
+
+async def _wait_for_leave(receive: Receive) -> None:
+    while (await receive())["type"] != "http.disconnect":
+        pass

@@ -1,18 +1,16 @@
-"""Queue of updates between the threads of bus and processes and the single loop of a command."""
+"""Bounded queue between the threads of bus and processes and the single loop of a command."""
 
 from __future__ import annotations
 
 import queue
 import threading
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 MAX_WAITING = 100_000  # updates, and
 MOST_BYTES = 64 * 2**20  # of messages in them
 
 
-@dataclass(frozen=True, slots=True)
-class _Sized:
+class _Sized(NamedTuple):
     """A message of ``size`` bytes that waits."""
 
     size: int
@@ -20,23 +18,27 @@ class _Sized:
 
 
 class Updates(queue.SimpleQueue[Any]):
-    """Updates from bus and processes in the order of arrival, for the single loop of the coordinator."""
+    """Updates from bus and processes in the order of arrival; ``most`` wait, with ``most_bytes`` of messages."""
 
-    def __init__(self) -> None:
+    def __init__(self, most: int = MAX_WAITING, most_bytes: int = MOST_BYTES) -> None:
         super().__init__()
+        self._most, self._most_bytes = most, most_bytes
         self._lock = threading.Lock()
         self._bytes = 0  # of messages that wait
+        self._dropped = 0
 
     def offer(self, item: Any, *, sent_once: bool = False, size: int = 0) -> None:
-        """Adds ``item``, or drops it where too much waits. Items that every heartbeat repeats are dropped first.
+        """Adds ``item``, or drops and counts it where too much waits; items that heartbeats repeat are dropped first.
 
         ``sent_once``: the item is not repeated, and has twice the room. ``size``: bytes of its message and key.
         """
         with self._lock:
             share = 2 if sent_once else 1
-            if self.qsize() < MAX_WAITING * share and self._bytes + size <= MOST_BYTES * share:
+            if self.qsize() < self._most * share and self._bytes + size <= self._most_bytes * share:
                 self._bytes += size
-                self.put(_Sized(size, item) if size else item)
+                self.put(_Sized(size, item) if size else item)  # within the lock: in the order of arrival
+            else:
+                self._dropped += 1
 
     def take(self, timeout_s: float) -> list[Any]:
         """Waits up to ``timeout_s`` for an item, and returns all items that have arrived by then.
@@ -54,3 +56,9 @@ class Updates(queue.SimpleQueue[Any]):
         with self._lock:
             self._bytes -= sum(item.size for item in sized)
         return [item.item if isinstance(item, _Sized) else item for item in items]
+
+    def take_dropped(self) -> int:
+        """Number of items dropped since the last call."""
+        with self._lock:
+            dropped, self._dropped = self._dropped, 0
+        return dropped

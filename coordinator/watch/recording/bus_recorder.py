@@ -20,8 +20,8 @@ from agents.security.access import COORDINATOR
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session
 from coordinator.watch.interrupts import ENDS
+from coordinator.watch.observe.updates import Updates
 from coordinator.watch.observe.watched_keys import PresenceByName, command_keys, processes_of, readings_keys, state_keys
-from coordinator.watch.recording.arrivals import Arrivals
 from coordinator.watch.recording.closing import Closer, close_ended, remove_oldest
 from coordinator.watch.recording.entries import APPEARED, MESSAGE, VANISHED, Entry, note
 from coordinator.watch.recording.folder import begin_writing
@@ -33,6 +33,8 @@ from dsse_core.errors import DsseError
 
 log = logging.getLogger(__name__)
 AWAKE_S = 0.1  # a signal that a thread of Zenoh has caught is acted on when this thread wakes
+MOST_WAITING = 256 * 2**20  # bytes that have arrived and are not written yet, as behind a disk that hangs
+SIZE_OF_ENTRY = 200  # bytes beside its payload
 TIDY_S = 10.0  # between two looks at the size of the recording
 
 
@@ -67,7 +69,8 @@ def record_from(session: Session, order: Order, on_begun: Callable[[], None] = l
             signal.signal(number, lambda *_: over.set())
         if session.keys:
             on_hangup(renew.set, over.set)
-        arrivals, closer = Arrivals(), Closer(order.folder)
+        arrivals = Updates(MOST_WAITING // SIZE_OF_ENTRY, MOST_WAITING)
+        closer = Closer(order.folder)
         written = SegmentLog(order.folder, order.limit, closer.ask)
         recorder = Recorder(written, order.run)
         asked = _listen(session, order.run, [file.area.name for file in order.files] or None, arrivals)
@@ -83,22 +86,25 @@ def record_from(session: Session, order: Order, on_begun: Callable[[], None] = l
             log.warning("%s", text)
 
 
-def _listen(session: Session, run: str, areas: Collection[str] | None, arrivals: Arrivals) -> PresenceByName:
+def _listen(session: Session, run: str, areas: Collection[str] | None, arrivals: Updates) -> PresenceByName:
     """Puts all messages and presence to record into ``arrivals``, of ``areas`` if they are known.
 
     Returns the names whose presence is subscribed to; names of new publishers are added later.
     """
 
+    def put(entry: Entry) -> None:
+        arrivals.offer(entry, size=len(entry.payload) + SIZE_OF_ENTRY)
+
     def on_message(key: str, payload: bytes) -> None:
         asked.note(*publisher_of(key))
-        arrivals.put(Entry(MESSAGE, time.time(), key, payload))
+        put(Entry(MESSAGE, time.time(), key, payload))
 
     def on_leave(key: str, payload: bytes) -> None:
         if reason := read_leave(payload):
-            arrivals.put(left(time.time(), key, reason))
+            put(left(time.time(), key, reason))
 
     def on_presence(key: str, alive: bool) -> None:
-        arrivals.put(Entry(APPEARED if alive else VANISHED, time.time(), key))
+        put(Entry(APPEARED if alive else VANISHED, time.time(), key))
 
     asked = PresenceByName(session, run, on_presence, on_leave)
     asked.ask(processes_of(areas))
@@ -111,7 +117,7 @@ def _listen(session: Session, run: str, areas: Collection[str] | None, arrivals:
 def _serve(
     session: Session,
     order: Order,
-    arrivals: Arrivals,
+    arrivals: Updates,
     asked: PresenceByName,
     recorder: Recorder,
     closer: Closer,

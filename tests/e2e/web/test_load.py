@@ -14,7 +14,7 @@ import pytest
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
 from coordinator.lab.evaluation.evaluation import choose_scenario
-from coordinator.show.web import sources, stream
+from coordinator.show.web import app, sources
 from coordinator.show.web.sources import LiveSource
 from coordinator.watch.observe.grid_tables import GridTables
 from coordinator.watch.observe.watch import Watcher
@@ -148,7 +148,7 @@ def test_a_hundred_thousand_strangers_leave_the_page_usable_and_its_areas_in_sig
 
 def test_a_server_that_makes_no_new_moment_is_heard_all_the_same(monkeypatch: pytest.MonkeyPatch):
     """The page takes one that it does not hear for gone; moments of a large grid on a slow machine are far apart."""
-    monkeypatch.setattr(stream, "PULSE_S", 0.2)
+    monkeypatch.setattr(app, "PULSE_S", 0.2)
     with serving(played()) as url, browsing() as page:
         page.goto(url)
         said = (

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from coordinator.show.web.playback.recorded import play_recording
+from coordinator.show.web.playback.source import play_recording
 from scenarios.scenario import load_scenario
 from tests.support.browser import (
     browsing,

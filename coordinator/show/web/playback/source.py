@@ -3,21 +3,60 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterator, Sequence
+import threading
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from operator import itemgetter
+from pathlib import Path
 from typing import Any
 
-from agents.messages.packing import StateMessage
+from agents.messages.packing import ReadingsMessage, StateMessage
 from coordinator.show.web.drawing import Drawing, draw_scenario, draw_states, encode_drawing
 from coordinator.show.web.moment import MOST_EVENTS, Moments, encode_json, find_tables
 from coordinator.show.web.playback.course import Course
-from coordinator.show.web.playback.past import PastOfPlay
 from coordinator.show.web.playback.play import Play, Sent
 from coordinator.show.web.shown_tables import Tables
 from coordinator.show.web.sources import Frame
 from coordinator.watch.observe.grid_tables import GridTables
+from coordinator.watch.recording.folder import read_about
+from coordinator.watch.replay.recorded_messages import Update, read_newest_messages
 from scenarios.scenario import Scenario
+
+PATIENCE_S = 1.0  # wait of a request for a past that is not complete yet
+
+
+class PastOfPlay:
+    """The past of the play of ``course``. A thread goes through it, because tables of thousands of buses are slow."""
+
+    def __init__(self, course: Course, scenario: Scenario | None) -> None:
+        self._course = course
+        self._moments = Moments(GridTables(scenario) if scenario else None)
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._find, name="past of the play", daemon=True)
+        self._beginning = threading.Lock()
+        self._is_over = False
+
+    def read(self, kind: str, name: str) -> dict[str, Any]:
+        """Times and columns found after ``PATIENCE_S`` at most; ``complete``: True where the past is complete."""
+        with self._beginning:
+            if self._thread.ident is None:
+                self._thread.start()
+        self._thread.join(PATIENCE_S)
+        is_complete = not self._thread.is_alive()
+        with self._lock:
+            return self._moments.history.read(kind, name) | {"complete": is_complete}
+
+    def close(self) -> None:
+        """Ends the computation of the past."""
+        self._is_over = True
+
+    def _find(self) -> None:
+        for at, watcher in self._course.walk():
+            if self._is_over:
+                return
+            with self._lock:
+                self._moments.note(watcher, at, at)
+
 
 MOST_FRAMES = 20_000
 
@@ -128,3 +167,28 @@ def _describe(sent: Sent, at: float) -> dict[str, Any]:
         "arrived": arrived,
         "lost": sent.arrived is None,
     }
+
+
+def play_recording(folder: Path, scenario: Scenario | None, notes: list[str]) -> PlaybackSource:
+    """The recording at ``folder`` as a source; the newest part of a long one. Lost and omitted parts go to ``notes``.
+
+    Raises:
+        InvalidInputError: ``folder`` is no recording, or nothing in it can be read, as without pyarrow where all of it
+            is Parquet.
+    """
+    run = read_about(folder).run
+    kept = read_newest_messages(folder, run, notes)
+    since = kept[0][0]
+    remarks = [*dict.fromkeys(notes), *_find_lacking(item for _, item in kept)]
+    play = Play(run=run, since=since, updates=[(at - since, item) for at, item in kept])
+    return PlaybackSource(play, scenario, remarks)
+
+
+def _find_lacking(updates: Iterable[Update]) -> Iterator[str]:
+    """Remarks on the content of a page that the recording lacks."""
+    yield "a recording holds no messages between areas"
+    used = [item for item in updates if isinstance(item, ReadingsMessage) and item.meters]
+    if not used:
+        yield "this one holds no readings"
+    elif not any(item.estimates for item in used):
+        yield "this one holds no estimate and no residual of its readings"

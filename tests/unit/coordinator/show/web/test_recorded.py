@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from agents.messages.keys import live_key
-from coordinator.show.web.playback.recorded import play_recording
+from coordinator.show.web.playback.source import play_recording
 from coordinator.watch.recording import rows
 from coordinator.watch.recording.closing import close_ended
 from coordinator.watch.recording.entries import VANISHED, Entry

@@ -19,7 +19,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from agents.security.access import Access
 from coordinator.lab.deployment.certificates import create_keys
-from coordinator.show.web import readers, server, stream
+from coordinator.show.web import app, readers, server
 from coordinator.show.web.moment import Moments
 from coordinator.show.web.server import Place, choose_place
 from coordinator.watch import http_front
@@ -96,7 +96,7 @@ def test_twenty_browsers_see_the_same_and_one_that_never_reads_is_dropped_unnoti
 
 def test_a_server_that_has_nothing_new_is_heard_by_the_page(monkeypatch: pytest.MonkeyPatch):
     """Who hears nothing takes it for gone; a comment in the stream would reach no script."""
-    monkeypatch.setattr(stream, "PULSE_S", 0.1)
+    monkeypatch.setattr(app, "PULSE_S", 0.1)
     with serving(played()) as url, httpx.stream("GET", f"{url}api/stream", timeout=60) as said:
         lines = list(islice(said.iter_lines(), 9))
     assert lines[lines.index("event: pulse") + 1] == "data"

@@ -154,9 +154,8 @@ def test_large_states_of_strangers_are_kept_up_to_a_number_of_bytes(monkeypatch:
     assert list(unknown.states) == ["stranger0", "stranger1", "stranger3"], "a smaller state makes room"
 
 
-def test_large_messages_that_nobody_takes_in_do_not_pile_up(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("coordinator.watch.observe.updates.MOST_BYTES", 1000)
-    updates = Updates()
+def test_large_messages_that_nobody_takes_in_do_not_pile_up():
+    updates = Updates(most_bytes=1000)
     for _ in range(2):
         for k in range(100):
             updates.offer(k, size=300)

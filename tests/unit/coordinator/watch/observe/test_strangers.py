@@ -69,15 +69,15 @@ def test_a_run_takes_in_the_tokens_of_its_own_processes_only():
     assert len(run.updates.take(0.0)) == 1
 
 
-def test_states_and_tokens_that_nobody_takes_in_do_not_pile_up(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("coordinator.watch.observe.updates.MAX_WAITING", 10)
-    updates = Updates()
+def test_states_and_tokens_that_nobody_takes_in_do_not_pile_up():
+    updates = Updates(most=10)
     for k in range(100):
         updates.offer(k)
     for k in range(100):
         updates.offer(-k, sent_once=True)
     updates.put("the end of a process")
     assert updates.take(0.0) == [*range(10), *range(0, -10, -1), "the end of a process"]
+    assert (updates.take_dropped(), updates.take_dropped()) == (180, 0)
 
 
 def test_of_one_name_no_more_incarnations_are_kept_than_anybody_needs_and_no_more_names(

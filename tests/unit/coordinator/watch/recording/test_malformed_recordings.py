@@ -16,7 +16,7 @@ import pytest
 
 from coordinator.cli.main import run_command
 from coordinator.lab.stages.play import play_on_simulator
-from coordinator.show.web.playback.recorded import play_recording
+from coordinator.show.web.playback.source import play_recording
 from coordinator.watch.recording import frames
 from coordinator.watch.recording.closing import close_ended
 from coordinator.watch.recording.frames import MAGIC, MARK, frame
@@ -160,7 +160,7 @@ from contextlib import suppress
 from pathlib import Path
 from dsse_core.errors import InvalidInputError
 from coordinator.watch.replay.ticks import read_ticks
-from coordinator.show.web.playback.recorded import play_recording
+from coordinator.show.web.playback.source import play_recording
 
 def read(folder):
     notes = []

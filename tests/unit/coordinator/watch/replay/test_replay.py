@@ -12,7 +12,7 @@ from coordinator.watch.recording.folder import LOGS, begin_writing, list_segment
 from coordinator.watch.recording.frames import MARK
 from coordinator.watch.recording.recorder import Recorder
 from coordinator.watch.recording.segment_log import SegmentLog
-from coordinator.watch.replay.text import format_replay
+from coordinator.watch.replay.replay import format_replay
 from coordinator.watch.replay.ticks import read_ticks
 from dsse_core.errors import InvalidInputError
 from scenarios.scenario import load_scenario

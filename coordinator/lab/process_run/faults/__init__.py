@@ -1,1 +1,0 @@
-"""Faults that a scenario injects into the processes of a run: their schedule, their clock, their signals."""
