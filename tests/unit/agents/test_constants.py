@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs/reference/constants.md").read_text()
 SOURCES = (
     "agents/peers/*.py",
-    "agents/protocol/*.py",
+    "agents/protocol/**/*.py",
     "agents/strategies/*.py",
     "dsse_core/linear/*.py",
     "dsse_core/exchange/*.py",
