@@ -99,7 +99,7 @@ class _LogOfCompiling:
         if begins and not self.logged:
             self.logged = True
             kept = f"this happens once, the code is kept in {folder}" if folder else "no safe folder can keep it"
-            logging.getLogger(__name__).info("compiling the solvers of large radial areas; %s", kept)
+            logging.getLogger(__name__).info("the agent compiles the solvers of large radial areas; %s", kept)
 
 
 def _seconds(text: str) -> float:

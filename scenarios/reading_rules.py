@@ -76,7 +76,7 @@ def find_gateway_remark(rules: Mapping[str, ReadingRules]) -> str:
         return ""
     return (
         'telemetry.source is "live" and there is no [gateways.NAME]: without keys any gateway may send readings, with '
-        f"keys nobody but {LEADER} may; for keys, add a table [gateways.NAME] for each gateway first"
+        f"keys no gateway but {LEADER} may; for keys, add a table [gateways.NAME] for each gateway first"
     )
 
 

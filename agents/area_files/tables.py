@@ -81,7 +81,7 @@ class ExchangeTable(Table):
     """``[exchange]``."""
 
     towards_hub: str | None = None
-    areas: int = Field(ge=1, description="how many areas the grid has")
+    areas: int = Field(ge=1, description="number of areas of the grid")
     entry_vm: Positive = Field(description="voltage in p.u. where the area begins, seen from the substation")
     entry_va: float = Field(description="angle there in rad")
     no_load: Annotated[tuple[NoLoad, ...], Field(strict=False)] = Field(

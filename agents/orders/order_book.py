@@ -95,9 +95,9 @@ class OrderBook:
         if header.run != self._run:
             return "other run"
         if header.sender != OPERATOR:
-            return "command of somebody else than the operator"
+            return "command of another process than the operator"
         if message.to != self._name:
-            return "command to somebody else"
+            return "command to another process"
         if find_lead(header, wall) > LONGEST_LEAD_S:
             return TOO_EARLY
         if header.order < self._followed.order or header.time < self._began_at:
@@ -134,5 +134,5 @@ class OrderBook:
         self._rejected[reason] += 1
         count = self._rejected[reason]
         if should_log(count):
-            log.warning("rejected command number %s for this reason, %s: %s", count, reason, why)
+            log.warning("%s rejects command number %s for this reason, %s: %s", self._name, count, reason, why)
         return Rejected(reason, count)

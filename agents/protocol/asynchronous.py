@@ -171,7 +171,7 @@ class AsynchronousProtocol(AreaProtocol):
         """Solves, and yields new messages to the neighbours."""
         estimate, notes = self._strategy.solve(self._knowledge())
         if estimate is not None and not estimate.is_reasonable(self._no_load_va):
-            raise ArithmeticError("it is beyond reason")
+            raise ArithmeticError("the estimate is beyond reason")
         self._estimate, self._notes = estimate, notes
         self._estimated_scan = self.scan
         if estimate is not None and (estimate is not self._sent or any(map(self._is_outdated, self._peers))):
@@ -221,7 +221,7 @@ class AsynchronousProtocol(AreaProtocol):
             sent = self._peers[n.area].exchange
             message = self._strategy.message_for(n, estimate, self._header(sent.sequence + 1))
             if reason := self._strategy.find_rejection(message) or find_unreasonable(message):
-                raise ArithmeticError(f"what it would send a neighbour: {reason}")
+                raise ArithmeticError(f"the message to a neighbour: {reason}")
             if self._is_outdated(n.area) or self._strategy.is_update(n, message, cast("BoundaryUpdate", sent.message)):
                 yield self._send(n.area, sent, message)
 

@@ -60,7 +60,7 @@ class Configuration:
     area: Area
     meters: Sequence[Meter]
     """The area's meters, virtual ones included; readings come by telemetry."""
-    strategy: Annotated[str, Field(description="how the areas exchange what they know")]
+    strategy: Annotated[str, Field(description="name of the strategy of the exchange")]
     """Strategy of the exchange."""
     endpoints: Annotated[tuple[str, ...], Field(description="where to find the bus, e.g. tcp/127.0.0.1:7447")]
     """Where to find the bus: routers, of which one is enough, or neighbours with direct links. May be edited."""

@@ -191,7 +191,7 @@ def find_far_scans(far_scans: Mapping[str, int]) -> Iterator[Finding]:
         yield Finding(
             GOOD,
             f"messages of {name} are rejected: one announced scan {scan}, far ahead of the telemetry; if its own state "
-            f"shows none like it, somebody else sends in the name of {name}: use keys",
+            f"shows none like it, another process sends in the name of {name}: use keys",
             "rejected, a scan far ahead",
             [name],
         )

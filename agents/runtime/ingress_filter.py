@@ -57,7 +57,7 @@ class IngressFilter:
         """Put a message into the inbox, or count it as rejected."""
         gateway = "" if key in self._neighbour_keys else gateway_of(key, self._run, self._area)
         if not (key in self._neighbour_keys or self._may_publish(gateway)):
-            self._reject("unknown sender", key, "nobody who has a say here speaks on this key")
+            self._reject("unknown sender", key, "no known sender publishes on this key")
             return
         last = self._last.get(key)
         if last is not None and last[0] == payload:
@@ -88,7 +88,7 @@ class IngressFilter:
             count = self._rejected[reason]
         self._inbox.put(("rejected", reason), Rejected(reason, count, sender if at_field else "", at_field))
         if should_log(count):
-            log.warning("rejected payload number %s for this reason, on %.200s: %s", count, ascii(key), why)
+            log.warning("the agent rejects payload number %s for this reason, on %.200s: %s", count, ascii(key), why)
 
 
 def _require_its_own(message: Message, gateway: str) -> None:

@@ -224,7 +224,7 @@ def _run_configuration(
                 case Finish(reason):
                     send_leave(reason.encode())
                     if (at_the_end := protocol.describe_backend()) != backend:
-                        log.info("back end %s", at_the_end)
+                        log.info("back end of the exchange: %s", at_the_end)
                     return reason
         began, now = now, time.monotonic()
         process.heap.tidy_after(now - began)
@@ -362,7 +362,7 @@ def _take_clock(links: FaultyLinks, at: float, payload: bytes) -> None:
     try:
         message = decode(payload)
     except MessageError as error:
-        log.warning("rejected a payload on the clock's key: %s", error)
+        log.warning("the agent rejects a payload on the clock's key: %s", error)
     else:
         if isinstance(message, ClockMessage):
             links.begin(at - message.elapsed_s)

@@ -18,7 +18,7 @@ from dsse_core.files.strict_table import FileTable, load_strict
 
 ACCESS_FILE = "access.toml"
 HEAD = """\
-# Who may exchange messages with whom: nobody lets through anything else.
+# Processes that may exchange messages with each other; no process lets through anything else.
 # "gateways": to which areas each gateway may send readings.
 # Names in "revoked" are denied everything; after a change, send SIGHUP to every process.
 """
@@ -75,7 +75,7 @@ class AccessTable(FileTable):
 
     kind: ClassVar[FileKind] = KIND
 
-    run: Name = Field(description="name of the system whose keys these are")
+    run: Name = Field(description="name of the system of these keys")
     revoked: list[str] = Field(default_factory=list)
     """Names of stolen or retired keys."""
     neighbours: dict[Name, list[str]] = Field(min_length=1, description="area -> the areas that it meets")

@@ -108,7 +108,7 @@ def _load(folder: Path, name: str, run: str | None, listens: bool) -> Keys:
     if name in access.revoked:
         raise InvalidInputError(
             f"access file {folder / ACCESS_FILE}",
-            [f"revoked: names {name!r}, and this process would be {name!r}; nobody would receive it"],
+            [f"revoked: names {name!r}, and this process would be {name!r}; no process would receive it"],
         )
     return Keys(folder, name, replace(access, run=run) if run else access, listens)
 

@@ -142,11 +142,11 @@ class RenewableBus:
                 self._open_with_declarations()
             except Exception as error:  # of any kind: only this thread opens the bus again
                 if not logged:
-                    log.warning("not open again yet: %s", error)
+                    log.warning("the bus is not open again yet: %s", error)
                 logged = True
                 self._given_up.wait(PAUSE_S)
                 continue
-            log.info("open again with the keys of now, after %.2f s", time.monotonic() - began)
+            log.info("the bus is open again with the renewed keys, after %.2f s", time.monotonic() - began)
             self._mind_expiry()
             return
 

@@ -269,7 +269,7 @@ def _with_watched_links(bus: AnyBus, meets: Callable[[Keys], Sequence[str]]) -> 
             and len(logged) < MAX_LOGGED
         ):
             logged.add((endpoint, name))
-            log.warning("%s shows the certificate of %r, who has no rights here: nothing passes", endpoint, name)
+            log.warning("%s shows the certificate of %r, a name without rights here: no message passes", endpoint, name)
 
     bus.declare(lambda opened: opened.info.declare_link_events_listener(_directly(on_link), history=True))
     return bus
@@ -297,8 +297,8 @@ def warn_of_strangers(listen: Sequence[str], secured: bool) -> None:
     """Log the endpoints of ``listen`` that other hosts reach, where links need no keys."""
     if not secured and (open_endpoints := find_open_endpoints(listen)):
         log.warning(
-            "listening without keys on %s: everybody who reaches it may receive and send everything; give --keys, or "
-            "listen on 127.0.0.1",
+            "this process listens without keys on %s: any process that reaches it may receive and send everything; "
+            "give --keys, or listen on 127.0.0.1",
             ", ".join(open_endpoints),
         )
 

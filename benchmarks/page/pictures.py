@@ -31,7 +31,7 @@ def playing(scenario: str) -> Iterator[str]:
         try:
             found = re.search(r"open (http\S+)", server.stdout.readline() if server.stdout else "")
             if found is None:
-                raise click.ClickException(f"`dsse serve {scenario} --simulate` does not say what to open")
+                raise click.ClickException(f"`dsse serve {scenario} --simulate` names no address to open")
             yield found[1]
         finally:
             server.terminate()

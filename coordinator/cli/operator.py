@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # the real import stands in the commands, so that every other
     from coordinator.field.operate.operator import Operator
 
 Joining = Callable[[], "AbstractContextManager[Operator]"]
-UNSECURED = "without --keys anybody on this bus can do the same"
+UNSECURED = "without --keys any process on this bus can do the same"
 
 
 def operator_options(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -31,7 +31,7 @@ def make_run_folder(out: str | Path | None, name: str, inside: Sequence[str] = (
     except OSError as error:
         raise folder_error(f"run folder {folder}", error) from None
     if occupied:
-        raise InvalidInputError(f"run folder {folder}", ["is not empty; choose a new one, or remove what it holds"])
+        raise InvalidInputError(f"run folder {folder}", ["is not empty; choose a new one, or remove its content"])
     return folder
 
 

@@ -45,7 +45,7 @@ def explain_divergence(
         if distance > BELIEVABLE:
             cause = (
                 f"without {plan.meters[row]} it does, and that reading lies {distance:.3g} standard deviations from "
-                "what the others say; check that meter's value, sign and unit"
+                "the other readings; check that meter's value, sign and unit"
             )
             return EstimationDivergedError(lost.iterations, lost.step, cause, plan.meters[row].id, lost.reason)
     cause = _find_cause(plan, values, sigmas, estimate)

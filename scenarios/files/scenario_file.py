@@ -251,7 +251,7 @@ class GrossErrorTable(Table):
 
     meter: str = Field(description="id of the meter, e.g. p_flow@3:3-4")
     """Id of the meter: `vm@1`, `p_injection@4`, `q_flow@3:3-4`, `current@3:3-4`."""
-    sigmas: GrossError = Field(description="what is added to the reading, in its standard deviations")
+    sigmas: GrossError = Field(description="added to the reading, in its standard deviations")
     """Added to the reading, in standard deviations of the meter; also without noise."""
 
 
@@ -264,7 +264,7 @@ class TelemetryTable(Table):
     every area reads its own power flow, with the scheduled net load of the rest of the grid, plus
     `faults.load_error`, at its boundary buses; every local slack needs a known voltage.
     """
-    ticks: Ticks | None = Field(default=None, description='who numbers scans: "gateway" or "clock"')
+    ticks: Ticks | None = Field(default=None, description='source of scan numbers: "gateway" or "clock"')
     """`"gateway"`: the gateway that leads numbers scans; the default unless `source` is `"live"`. `"clock"`:
     the clock of each area does, at each multiple of `run.scan_s` in UTC, which must be given.
     """
@@ -408,12 +408,12 @@ class ScenarioFile(FileTable):
     version: Version = Field(description="version of this format, 1")
     """Version of this format."""
     name: str | None = Field(
-        default=None, min_length=1, max_length=LONGEST_NAME, description="what runs of it are called"
+        default=None, min_length=1, max_length=LONGEST_NAME, description="name of the runs of the scenario"
     )
     """What runs are called, at most 64 letters; the file's name if left out. Systems that share a router or a
     network of keys need different names.
     """
-    description: str = Field(min_length=1, description="one line that says what the scenario shows")
+    description: str = Field(min_length=1, description="purpose of the scenario, in one line")
     seed: Seed = Field(default=1, description="seed of noise and losses")
     """Seed of noise and losses: the same seed gives the same telemetry and the same losses."""
     network: str = Field(

@@ -165,7 +165,7 @@ class RoundsState:
             undecided=self._round.undecided,
         )
         if not estimate.is_reasonable(estimation.no_load_va):
-            raise ArithmeticError("it is beyond reason")
+            raise ArithmeticError("the estimate is beyond reason")
         return estimate
 
     def _counts_all(self, outcome: Outcome) -> bool:

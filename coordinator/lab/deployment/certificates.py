@@ -187,7 +187,7 @@ def _find_host_problem(text: str, listeners: Sequence[str]) -> str:
             f"host {host!r} is neither a name nor an address; without port and protocol, as grid-a.example or 192.0.2.7"
         )
     if given and name not in listeners:
-        return f"host {text!r}: {name!r} does not listen; those who do are {', '.join(listeners)}"
+        return f"host {text!r}: {name!r} does not listen; the processes that listen are {', '.join(listeners)}"
     return ""
 
 

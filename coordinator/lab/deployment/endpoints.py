@@ -37,8 +37,8 @@ def known_area_endpoints(scenario: Scenario, protocol: str = "tcp") -> dict[str,
     """
     if scenario.transport.listen.endswith(":0"):
         problem = (
-            "port 0 lets each area take a free one, which nobody else knows; give --connect once for each area, with "
-            "`listen` of its area file, or fix the port in the scenario and split it again"
+            "port 0 lets each area take a free one, which no other process knows; give --connect once for each area, "
+            "with `listen` of its area file, or fix the port in the scenario and split it again"
         )
         raise InvalidInputError("transport.listen", [problem])
     return choose_area_endpoints(scenario, protocol)

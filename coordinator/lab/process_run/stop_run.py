@@ -65,7 +65,7 @@ def stop_run(folder: Path) -> tuple[StartedRun | None, int]:
         _wait_for_end(run, wait_s)
     if still := sorted(find_marked(run.mark)):
         numbers = ", ".join(map(str, still))
-        raise StopError(f"processes of run {run.id} are still there: {numbers}; stop it as the user who started it")
+        raise StopError(f"processes of run {run.id} are still there: {numbers}; stop it as the user that started it")
     for place in (folder, *(folder / part for part in PARTS)):
         remove_leftovers(place)
     return run, len(found)

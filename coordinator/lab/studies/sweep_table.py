@@ -146,7 +146,7 @@ def _check_settings(folder: Path, settings: dict[str, Any]) -> None:
     try:
         found = parse_json(read_text(path))
     except ValueError as error:
-        raise InvalidInputError(str(path), [f"is not what a sweep has written: {error}; {ANOTHER}"]) from None
+        raise InvalidInputError(str(path), [f"is not as a sweep has written it: {error}; {ANOTHER}"]) from None
     there = found if isinstance(found, dict) else {}
     problems = [
         f"{key} is {there.get(key)!r} in the sweep there and {wanted!r} now; {ANOTHER}"

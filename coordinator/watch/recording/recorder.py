@@ -75,7 +75,7 @@ def check_sender(key: str, message: Message, run: str) -> None:
     if not isinstance(message, StateMessage | ReadingsMessage | CommandMessage):
         raise MessageError("other kind", f"{message.kind} is no state, readings or command")
     if not is_own or run_of(key) != run or message.header.run != run:
-        raise MessageError("unknown sender", "the message is of somebody else than its key")
+        raise MessageError("unknown sender", "the message is of another sender than its key")
     if not isinstance(message, CommandMessage):
         if not NAME.fullmatch(message.header.sender):
             raise MessageError("unknown sender", f"{shown(message.header.sender)} is no name of an area")

@@ -75,7 +75,7 @@ class SegmentLog:
             self._unreported = 0
         except OSError as error:
             if not self._unreported:
-                log.error("%s: %s; what arrives is lost until it can be written", error.filename, error.strerror)
+                log.error("%s: %s; entries are lost until the log can be written", error.filename, error.strerror)
             self.lost += len(entries)
             self._unreported += len(entries)
 

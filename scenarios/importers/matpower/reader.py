@@ -46,7 +46,7 @@ def _build(path: Path, case: Case, base: float) -> Imported:
     if len(case.bus_names) == len(buses):
         buses = tuple(replace(bus, name=name) for bus, name in zip(buses, case.bus_names, strict=True))
     elif case.bus_names:
-        text = f"mpc.bus_name: {len(case.bus_names)} names of {len(buses)} buses say not which is whose"
+        text = f"mpc.bus_name: {len(case.bus_names)} names of {len(buses)} buses do not tell which name is of which bus"
         remarks.append(Remark("left out", text))
     isolated = {int(row[BUS_I]) for row in case.matrices["bus"] if row[BUS_TYPE] == ISOLATED}
     generators, problems = _build_generators(case.matrices["bus"], case.matrices["gen"], base)

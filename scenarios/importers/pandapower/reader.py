@@ -147,7 +147,7 @@ def _convert(name: str, net: Any, sgen: Any, ppc: dict[str, Any]) -> tuple[Conve
         text = f"open at one end and metered, kept as a branch to bus {end}, where nothing is injected"
         remarks.append(Remark("changed", f"{_named([element])}: {text}"))
     if loops:
-        text = "closed switches join its two ends, it carries nothing; what it draws stays as a shunt"
+        text = "closed switches join its two ends, it carries nothing; its own consumption stays as a shunt"
         remarks.append(Remark("left out", f"{_named(loops)}: {text}"))
     conversion = Conversion(
         net=net,

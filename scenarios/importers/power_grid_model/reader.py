@@ -43,7 +43,7 @@ from scenarios.importers.power_grid_model.data import (
 from scenarios.importers.power_grid_model.sensors import Conversion, find_metered_branches, read_sensors
 
 BASE_VA = 1e6
-IN_PARALLEL = "links join its two ends, it carries nothing; what it draws stays as a shunt"
+IN_PARALLEL = "links join its two ends, it carries nothing; its own consumption stays as a shunt"
 STIFF = 1e-9  # p.u.; a source's impedance below it is none
 CONSTANT_POWER, CONSTANT_IMPEDANCE = 0, 1
 

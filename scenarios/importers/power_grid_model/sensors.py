@@ -202,7 +202,7 @@ def _read_node(reader: _Reader, sensor: Any, node: int) -> None:
     elif bus in reader.conversion.shunted or bus in reader.source_nodes:
         reader.problems.append(
             f"sym_power_sensor {sensor['id']}: the power of node {node} includes a shunt or a source behind its "
-            "impedance, which no injection meter sees; put sensors at what else stands there"
+            "impedance, which no injection meter sees; put sensors at the other elements there"
         )
     elif bus not in reader.fed_buses:
         text = f"power sensor {sensor['id']} of node {node}: nothing stands there, so that it injects exactly nothing"

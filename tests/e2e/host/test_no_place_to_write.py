@@ -134,7 +134,7 @@ def test_a_folder_that_another_run_uses_is_one_error(tmp_path: Path) -> None:
     done = run_there(tmp_path, ["run", "ieee33", "--out", "out"])
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == (
-        "error: run folder out: 1 problem\n  - is not empty; choose a new one, or remove what it holds\n"
+        "error: run folder out: 1 problem\n  - is not empty; choose a new one, or remove its content\n"
     )
 
 

@@ -143,7 +143,7 @@ def test_metrics_health_and_readiness_report_a_death_and_a_lost_bus(dsse, tmp_pa
         wait_until(lambda: ask(port, "ready")[0] == 200)
 
         system.processes["metrics"].send_signal(signal.SIGHUP)  # renewed keys: it knows who was there before
-        wait_until(lambda: "open again with the keys of now" in system.read_log("metrics"))
+        wait_until(lambda: "open again with the renewed keys" in system.read_log("metrics"))
         wait_until(lambda: ask(port, "ready")[0] == 200)
 
         system.end("router", signal.SIGKILL)

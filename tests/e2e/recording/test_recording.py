@@ -97,5 +97,5 @@ def test_a_folder_of_another_run_is_one_clear_error(dsse: Dsse, tmp_path: Path) 
     (tmp_path / "rec" / "recording.json").write_text('{"format": 1, "run": "other", "areas": []}')
     done = dsse("replay", "rec")
     assert done.returncode == 2
-    assert "say by --scenario what the areas were split from" in done.stderr
+    assert "give the scenario of the split with --scenario" in done.stderr
     assert "Traceback" not in done.stderr

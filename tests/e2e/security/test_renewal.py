@@ -23,7 +23,7 @@ from tests.support.levels import further
 from tests.support.system_by_hand import Watcher
 from tests.support.waiting import wait_until
 
-OPEN_AGAIN = "open again with the keys of now, after "
+OPEN_AGAIN = "the bus is open again with the renewed keys, after "
 
 
 def hang_up(system: KeysByHand, names: Sequence[str]) -> None:

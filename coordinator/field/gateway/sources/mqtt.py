@@ -95,7 +95,7 @@ class MqttSource(Source):
         if payload.lstrip()[:1] == b"{":
             self._take_object(topic, payload, places, bool(message.retain), emit)
         elif message.retain:
-            emit.reject(NO_TIME, f"topic {topic}: the broker has kept it, nobody knows for how long")
+            emit.reject(NO_TIME, f"topic {topic}: the broker has kept it for an unknown time")
         else:
             text = payload.decode("utf-8", "replace").strip()
             for address, path in places:
@@ -114,7 +114,7 @@ class MqttSource(Source):
             return
         _, time = find_at(content, self.settings.time)
         if is_kept and time is None:
-            emit.reject(NO_TIME, f"topic {topic}: the broker has kept it, nobody knows for how long")
+            emit.reject(NO_TIME, f"topic {topic}: the broker has kept it for an unknown time")
             return
         valid = as_validity(find_at(content, self.settings.valid)[1])
         unit = find_at(content, self.settings.unit)[1]

@@ -77,8 +77,8 @@ def test_a_process_is_stopped_once_what_was_ordered_is_recorded(tmp_path: Path):
     ("message", "reason"),
     [
         (command("M1", run="other"), "other run"),
-        (command("M1", sender="area2"), "command of somebody else than the operator"),
-        (command("M1", to="area2"), "command to somebody else"),
+        (command("M1", sender="area2"), "command of another process than the operator"),
+        (command("M1", to="area2"), "command to another process"),
         (command("M1", time=NOW + 601), "command from the future"),
         (command("M1", incarnation=Incarnation(int(1000 * NOW) + 601_000, 1)), "command from the future"),
         (command("M1", time=NOW - 61), "command older than 60 s"),

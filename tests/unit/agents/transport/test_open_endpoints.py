@@ -33,7 +33,7 @@ def test_nobody_listens_to_everybody_without_keys_and_without_notice(
     reported = [r.getMessage() for r in caplog.records if r.levelno == logging.WARNING]
     assert bool(reported) == (endpoint in OPEN)
     assert all(
-        f"listening without keys on {endpoint}: everybody who reaches it may receive and send" in line
+        f"listens without keys on {endpoint}: any process that reaches it may receive and send" in line
         for line in reported
     )
 

@@ -321,7 +321,7 @@ def test_a_line_beside_a_closed_switch_is_left_out_and_reported(tmp_path: Path) 
     grid = imported(tmp_path, net)
     check_power_flow(grid, net)  # its charging included
     reported = {(remark.what, remark.text) for remark in grid.remarks}
-    text = "line 9: closed switches join its two ends, it carries nothing; what it draws stays as a shunt"
+    text = "line 9: closed switches join its two ends, it carries nothing; its own consumption stays as a shunt"
     assert ("left out", text) in reported
     last = net.measurement.index[-1]
     assert ("left out", f"measurement {last}: of a branch whose two ends closed switches join") in reported

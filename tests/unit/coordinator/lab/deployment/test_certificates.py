@@ -270,7 +270,7 @@ def test_dsse_keys_create_says_what_it_made_and_rejects_to_do_it_again(tmp_path:
         (["--host", "a.example:7447"], "host 'a.example:7447' is neither a name nor an address; without port"),
         (["--host", "tls/192.0.2.7"], "is neither a name nor an address"),
         (["--host", "192.0.2.777"], "is neither a name nor an address"),
-        (["--host", "area9=a.example"], "'area9' does not listen; those who do are router"),
+        (["--host", "area9=a.example"], "'area9' does not listen; the processes that listen are router"),
         (["--host", "router=a.example:1"], "host 'a.example:1' is neither a name nor an address"),
         (["--host", ""], "is neither a name nor an address"),
         (["--host", "a" * 64 + ".example"], "is neither a name nor an address"),

@@ -100,7 +100,7 @@ def test_a_disk_full_from_the_start_leaves_no_open_file_and_no_log_and_the_cause
         with pytest.raises(OSError, match=os.strerror(errno.EBADF)):
             os.fstat(files[0])
         assert not list((tmp_path / LOGS).iterdir())
-        assert "No space left on device; what arrives is lost" in caplog.text
+        assert "No space left on device; entries are lost" in caplog.text
         log.write([note(AT, "after")])
         log.close()
     assert [entry.key for entry in _written(tmp_path) if isinstance(entry, Entry)] == ["lost", "after"]
