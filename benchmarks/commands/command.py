@@ -132,7 +132,7 @@ def main(sizes: str, only: str | None, runs: int, out: Path | None, figures: str
                     costs[key][n_bus] = _measure_least(command, n_bus, folder, runs)
                     click.echo(f"{key}, {n_bus} buses: {costs[key][n_bus].cpu_s:.2f} s", err=True)
     machine = describe_machine(PACKAGES)
-    table = "\n".join(_format_rows(costs))
+    table = "\n".join(format_rows(costs))
     areas = f"Areas of {BUSES_OF_AN_AREA} buses. s of a processor / MiB; k of the last three sizes."
     text = "\n".join([*(f"- {name}: {value}" for name, value in machine.items()), "", areas, "", table])
     click.echo(text)
@@ -154,7 +154,7 @@ def _measure_least(command: Command, n_bus: int, folder: Path, runs: int) -> Cos
     return Cost(min(cost.cpu_s for cost in found), min(cost.peak_mib for cost in found))
 
 
-def _format_rows(costs: Mapping[str, Mapping[int, Cost]]) -> list[str]:
+def format_rows(costs: Mapping[str, Mapping[int, Cost]]) -> list[str]:
     """A markdown table: time and memory at each size, the exponents, and a mark where growth is faster than n log n."""
     lines = [
         "| command | buses: s / MiB | k of time | k of memory | faster than n log n |",

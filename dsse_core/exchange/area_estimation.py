@@ -70,12 +70,12 @@ class AreaEstimation:
         self._tied: tuple[tuple[str, float], ...] = ()
         self._uses_currents = False
         self._n_current = 0  # current meters that can be used
-        self._received: Received = {}  # at ``linearized_at``
+        self.received: Received = {}  # at ``linearized_at``
         self._boundary_values: dict[str, tuple[np.ndarray, tuple[float, ...]]] = {}  # neighbour -> x, and y there
         self.before_removal: tuple[np.ndarray, Received] | None = None  # x with all meters, and messages of its step
         self._aged: dict[str, BoundaryInformation] = {}
         self._last_y: dict[str, np.ndarray] = {}  # where areas meet at several buses: last y with the neighbour in use
-        self._stand_ins: dict[str, BoundaryInformation] = {}
+        self.stand_ins: dict[str, BoundaryInformation] = {}
         self._omega: np.ndarray | None = None  # variances of the residuals, from ``find_sigmas``
         self._model: AreaModel | None = None
         self._no_load: NoLoadModel | None = None  # None while it is not needed
@@ -118,7 +118,7 @@ class AreaEstimation:
         self.reported, self.before_removal = set(), None
         self._start = self._start_of_term = self._flat if self.failure else self.x
         self._start_anew(())
-        self._stand_ins = self._find_stand_ins(loads or {})
+        self.stand_ins = self._find_stand_ins(loads or {})
 
     def _find_stand_ins(self, loads: Mapping[str, NetLoad]) -> dict[str, BoundaryInformation]:
         """Silent neighbour -> information that stands in for its own."""
@@ -140,7 +140,7 @@ class AreaEstimation:
         self.removed = tuple(meter for meter in removed if meter in self.own_meters)
         self.x = self.linearized_at = self._start
         self._step = np.zeros_like(self.x)
-        self._worst, self._tied, self._uses_currents, self._received = (), (), False, {}
+        self._worst, self._tied, self._uses_currents, self.received = (), (), False, {}
         self.is_first, self.unobservable, self.critical = True, (), ()
         self._build()
 
@@ -252,7 +252,7 @@ class AreaEstimation:
 
     def _with_aged(self, received: Received) -> Received:
         """``received``, with the information that stands in for that of silent neighbours."""
-        stand_ins = self._stand_ins | self._aged
+        stand_ins = self.stand_ins | self._aged
         return {name: stand_ins[name] for name in self._silent if name in stand_ins} | dict(received)
 
     def totals(self) -> Totals:
@@ -291,12 +291,12 @@ class AreaEstimation:
             self._check_no_load(no_load)
             if verdict.takes_step:
                 self._check_information(received)
-                self._received = self._with_aged(received)
-                self.linearized_at, self._step = self.x, self.model.linear.step(self.x, self._received)
+                self.received = self._with_aged(received)
+                self.linearized_at, self._step = self.x, self.model.linear.step(self.x, self.received)
                 self.x = self.x + verdict.share * self._step
                 self._check()
                 if not memory.removed and verdict.with_step:
-                    self.before_removal = self.x, self._received
+                    self.before_removal = self.x, self.received
             match verdict.decision:
                 case Decision.SHORTEN:
                     self.x = self.linearized_at + verdict.share * self._step
@@ -311,7 +311,7 @@ class AreaEstimation:
                 case Decision.EVALUATE:
                     self._evaluate()
                 case Decision.FINAL:
-                    self._keep_last({n: m for n, m in self._received.items() if n not in self._silent})
+                    self._keep_last({n: m for n, m in self.received.items() if n not in self._silent})
         except FAILURES as error:
             self.fail(error)
 
@@ -406,7 +406,7 @@ class AreaEstimation:
 
     def _variances(self) -> tuple[np.ndarray, np.ndarray]:
         """Variances at ``linearized_at``: of all state variables, (size,), and of the residuals, (n_meas,)."""
-        return self.model.linear.variances(self.linearized_at, self._received)
+        return self.model.linear.variances(self.linearized_at, self.received)
 
     @property
     def no_load_va(self) -> np.ndarray:

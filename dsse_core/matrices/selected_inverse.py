@@ -31,7 +31,7 @@ def find_inverse_entries(A: sp.csc_array, lu: spla.SuperLU, rows: np.ndarray, co
     wanted = row_of[columns] * n + column_of[rows]
     lower, upper = sp.coo_array(lu.L), sp.coo_array(lu.U)
     in_lower, in_upper = _places(lower), _places(upper)
-    places = _Places.closed(_sort([in_lower, in_upper, there, wanted]), n)
+    places = Places.closed(_sort([in_lower, in_upper, there, wanted]), n)
     if places is None:
         return None
     value = np.zeros(len(places.key))
@@ -50,7 +50,7 @@ def find_inverse_diagonal(A: sp.csc_array, lu: spla.SuperLU) -> np.ndarray | Non
     return find_inverse_entries(A, lu, everywhere, everywhere)
 
 
-class _Places:
+class Places:
     """Places (row, column) in L + U, closed under elimination; ``key``: row n + column, ascending.
 
     ``below``, ``right``: positions in ``key`` of the entries below a pivot and right of it, pivot by pivot.
@@ -72,7 +72,7 @@ class _Places:
         self._row, self._column = row, column
 
     @classmethod
-    def closed(cls, key: np.ndarray, n: int) -> _Places | None:
+    def closed(cls, key: np.ndarray, n: int) -> Places | None:
         """Places with all that elimination adds, also for entries that cancel; None above MOST_PRODUCTS."""
         closed = _close(key, n)
         if closed is None:
@@ -131,7 +131,7 @@ def _places(factor: sp.coo_array) -> np.ndarray:
     return np.asarray(row * factor.shape[0] + column)
 
 
-def _invert(places: _Places, value: np.ndarray) -> np.ndarray:
+def _invert(places: Places, value: np.ndarray) -> np.ndarray:
     """Entries of Z at the transposed ``places``; ``value``: L below the diagonal, U on it and above."""
     n = places.n
     at_pivot = places.find(np.arange(n) * (n + 1))

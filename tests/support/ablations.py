@@ -32,9 +32,9 @@ def _ignores_late_readings() -> AbstractContextManager[object]:
 def _joins_within_a_term() -> AbstractContextManager[object]:
     def must_change_for(self: RoundsProtocol, name: str, message: Any, is_restart: bool) -> bool:
         if message.receives and not is_restart and (message.header.scan, message.revision) == self.term:
-            self._round.links |= {name}
+            self.round.links |= {name}
             return False
-        return is_restart or (name not in self._round.links and message.receives)
+        return is_restart or (name not in self.round.links and message.receives)
 
     return mock.patch.object(RoundsProtocol, "_must_change_for", must_change_for)
 
@@ -45,7 +45,7 @@ def _never_rejoins() -> AbstractContextManager[object]:
 
 def _ignores_restarts() -> AbstractContextManager[object]:
     def must_change_for(self: RoundsProtocol, name: str, message: Any, is_restart: bool) -> bool:
-        return name not in self._round.links and message.receives
+        return name not in self.round.links and message.receives
 
     return mock.patch.object(RoundsProtocol, "_must_change_for", must_change_for)
 

@@ -114,7 +114,7 @@ class ToyBus:
         started_at = STARTED_AT + self.now + clock_offset
         incarnation = Incarnation(int(started_at * 1000) + self._incarnations[name], self._incarnations[name])
         protocol = RoundsProtocol(self.files[name], incarnation, now=self.now, started_at=started_at)
-        protocol._round.estimation.find_term = lambda: protocol.term
+        protocol.round.estimation.find_term = lambda: protocol.term
         self.protocols[name] = protocol
         self._push(self.now, name, None)
         self._post_presence(name, alive=True)
@@ -198,12 +198,12 @@ class ToyBus:
         """What is missing to the end of the last scan everywhere."""
         missing = [f"{name} is dead" for name in self.files.keys() - self.protocols.keys()]
         for name, protocol in sorted(self.protocols.items()):
-            outcome, where = protocol.outcome, f"{name} at {protocol.term}, round {protocol._round.k}"
+            outcome, where = protocol.outcome, f"{name} at {protocol.term}, round {protocol.round.k}"
             if outcome is None or protocol.scan != self.scan:
-                missing.append(f"{where}: not final, waits for {protocol._round.links}")
+                missing.append(f"{where}: not final, waits for {protocol.round.links}")
             elif outcome.totals.areas != len(self.files) or outcome.totals.silent or outcome.totals.stale:
                 missing.append(f"{where}: final on {outcome.totals}")
-            elif protocol._round.estimation.reading != self.values[name]:
+            elif protocol.round.estimation.reading != self.values[name]:
                 missing.append(f"{where}: final with readings that are not its newest")
             elif name not in self.states or self.states[name].quality != GOOD:
                 missing.append(f"{where}: not good")
@@ -250,7 +250,7 @@ class ToyBus:
             message = action.message
             if isinstance(message, StateMessage):
                 self.states[name] = message
-                counted = len(protocol._round.estimation.final)
+                counted = len(protocol.round.estimation.final)
                 assert message.quality != GOOD or counted == len(self.files), f"{name} is good on {counted} areas"
             elif action.to is not None and not isinstance(message, LoadMessage):
                 self._send(name, action.to, message)
@@ -282,7 +282,7 @@ class ToyBus:
     def _check(self, name: str, protocol: RoundsProtocol) -> None:
         """What holds at the end of a term."""
         assert not protocol._peers.distrusted, f"{name} does not believe {protocol._peers.distrusted}"
-        outcome, parts = protocol.outcome, protocol._round.estimation.final
+        outcome, parts = protocol.outcome, protocol.round.estimation.final
         if outcome is not None:
             counted = sorted(area for area, _, _ in parts)
             assert len(counted) == outcome.totals.areas, f"{name} counts {outcome.totals.areas}, in it are {counted}"

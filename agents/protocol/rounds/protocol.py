@@ -50,17 +50,17 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
     def __init__(self, content: Configuration, incarnation: Incarnation, *, now: float, started_at: float) -> None:
         super().__init__(content, self.kinds(), incarnation, now=now, started_at=started_at)
-        self._round = AreaRound(content.area, self._splits)
+        self.round = AreaRound(content.area, self._splits)
         self._revision = 0
         self._is_change_due = False
         self._has_loads_to_send = False  # loads only stand in for missing information
         self._raised_at = -math.inf  # when this area itself last raised the revision
-        known = self._peers, self._round, self._scan, self._rejections, self._splits
+        known = self._peers, self.round, self._scan, self._rejections, self._splits
         self._state = RoundsState(content, *known, self._published, self._end)
 
     def describe_backend(self) -> str:
         """Returns, for the log, the back end that computes, and how often another had to."""
-        return self._round.estimation.describe_backend()
+        return self.round.estimation.describe_backend()
 
     @property
     def term(self) -> Term:
@@ -70,12 +70,12 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
     @property
     def outcome(self) -> Outcome | None:
         """End of the present term; None before."""
-        return self._round.outcome
+        return self.round.outcome
 
     @property
     def removed(self) -> tuple[str, ...]:
         """The meters of all areas that this term has taken out as bad data, in order."""
-        return self._round.removed
+        return self.round.removed
 
     @property
     def _term(self) -> Term:
@@ -83,7 +83,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
     @property
     def _is_at_rest(self) -> bool:
-        return self._round.outcome is not None or self.scan == 0
+        return self.round.outcome is not None or self.scan == 0
 
     def _due_times(self) -> Iterator[float]:
         yield from super()._due_times()
@@ -91,7 +91,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         if self._is_change_due:
             yield self._raised_at + self._heartbeat_s
         elif not self._is_at_rest:
-            yield from map(self._peers.absent_at, self._round.links)
+            yield from map(self._peers.absent_at, self.round.links)
 
     # Incoming messages
 
@@ -143,16 +143,16 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         if term < self.term:
             # a message that is being repeated shows our term as well, but not how scans are numbered
             peer.is_owed_reply |= peer.exchange.repeat is None or term[0] < self.scan
-        elif name in self._round.links:
+        elif name in self.round.links:
             yield from self._take_in_term(name, peer, message)
 
     def _must_change_for(self, name: str, message: RoundsMessage, is_restart: bool) -> bool:
         """True where a neighbour outside the links in use is back, or a neighbour has restarted."""
-        return is_restart or (name not in self._round.links and message.receives)
+        return is_restart or (name not in self.round.links and message.receives)
 
     def _take_in_term(self, name: str, peer: Peer, message: RoundsMessage) -> Iterator[Action]:
         if isinstance(message, HeartbeatMessage):
-            if why := self._round.find_other_end(message.k, message.final):
+            if why := self.round.find_other_end(message.k, message.final):
                 yield from self._distrust(name, why)
             else:
                 yield from self._send_if_lacking(name, peer.exchange, message.received[1])
@@ -161,20 +161,20 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
     def _take_round(self, name: str, peer: Peer, message: UpMessage | DownMessage) -> Iterator[Action]:
         """Takes in a message of a round from a neighbour in use, and answers or acknowledges it at once."""
-        if message.k > self._round.k:
+        if message.k > self.round.k:
             return  # sent to a former incarnation of this area
         peer.is_owed_reply = True
         peer.take_number(message.header.sequence, self._now)
-        if message.k < self._round.k:
+        if message.k < self.round.k:
             if peer.has_waited_for_trip(self._now):  # the neighbour lacks the answer of this area
                 yield from self._send_if_lacking(name, peer.exchange, message.received[1], even_if_repeated=True)
         elif isinstance(message, UpMessage):
-            if why := self._round.find_false_count(message):
+            if why := self.round.find_false_count(message):
                 yield from self._distrust(name, why)
-            elif self._round.take_up(name, message):
+            elif self.round.take_up(name, message):
                 peer.take_reply(peer.exchange)
                 yield from self._go_on()
-        elif self._round.is_waited_for():
+        elif self.round.is_waited_for():
             peer.take_reply(peer.exchange)
             yield from self._take_down(name, message)
 
@@ -185,9 +185,9 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
         It would never get this message from an area that has left the scan.
         """
-        if self._round.outcome is None:
+        if self.round.outcome is None:
             return False
-        lower = self._round.lower
+        lower = self.round.lower
         unacknowledged = (name for name in lower if self._peers[name].exchange.repeat is not None)
         return any(self._peers.is_present(name, self._now) for name in unacknowledged)
 
@@ -206,7 +206,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
     def _enter(self, term: Term) -> Iterator[Action]:
         """Shows the end of the former term and drops it; begins ``term`` with all present neighbours not distrusted."""
-        if self._round.outcome is not None:
+        if self.round.outcome is not None:
             yield from self._publish_state(self._state.show_end(self.term, self._now))
             yield from self._show_readings()
             if term[0] > self.scan and self._all_hold_next():
@@ -218,7 +218,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         self._scan.enter(scan, self._now)
         self._rejections.note_scan(scan)
         self._peers.begin_term()
-        self._round.enter(self._peers.present(self._now))
+        self.round.enter(self._peers.present(self._now))
         if self._scan.are_there:
             yield from self._begin()
 
@@ -232,7 +232,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         Where the next split has fewer areas, the areas left out are stopped first; where it has more, the new ones
         wait.
         """
-        outcome, following = self._round.outcome, self._next
+        outcome, following = self.round.outcome, self._next
         if outcome is None or following is None or outcome.verdict.next_split != self._splits.held.digest:
             return False
         return outcome.totals.areas >= min(self._area.n_areas, following.area.n_areas)
@@ -241,7 +241,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         """Begins round 0 with the readings."""
         self._has_loads_to_send = True
         loads = self._received_loads()
-        self._round.begin(self._scan.readings.measurements, stale=self._scan.stale, loads=loads)
+        self.round.begin(self._scan.readings.measurements, stale=self._scan.stale, loads=loads)
         yield from self._go_on()
 
     # Rounds
@@ -251,20 +251,20 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
         An area without links decides round by round until the end.
         """
-        while self._round.may_go_on and not self._is_change_due:
-            totals = self._round.add_up()
-            if name := self._round.towards_hub:
+        while self.round.may_go_on and not self._is_change_due:
+            totals = self.round.add_up()
+            if name := self.round.towards_hub:
                 yield self._send_round(
-                    name, UpMessage(**self._fields_of(name, self._round.find_up(totals), self._round.k))
+                    name, UpMessage(**self._fields_of(name, self.round.find_up(totals), self.round.k))
                 )
                 return
             incarnation = (self._incarnation.start_ms, self._incarnation.random)
             yield from self._descend(totals, Decider(self._area.name, incarnation), None)
-        self._round.prepare()
+        self.round.prepare()
 
     def _take_down(self, name: str, message: DownMessage) -> Iterator[Action]:
         """Follows Down(k), unless it contradicts itself or Up(k): then goes on without its sender in this scan."""
-        if why := self._round.find_lie(message):
+        if why := self.round.find_lie(message):
             yield from self._distrust(name, why)
             return
         yield from self._descend(message.totals, Decider(message.decider, message.incarnation), message)
@@ -277,12 +277,12 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
     def _descend(self, totals: Totals, decider: Decider, down: DownMessage | None) -> Iterator[Action]:
         """Decides on the totals of all areas, for itself or after ``decider``; passes totals and verdict on."""
-        verdict, k = self._round.decide(totals), self._round.k
-        for name, content in self._round.descend(verdict, totals, decider, down):
+        verdict, k = self.round.decide(totals), self.round.k
+        for name, content in self.round.descend(verdict, totals, decider, down):
             fields = self._fields_of(name, content, k)
             message = DownMessage(**fields, verdict=str(verdict), decider=decider.name, incarnation=decider.incarnation)
             yield self._send_round(name, message)
-        if self._round.outcome is not None:
+        if self.round.outcome is not None:
             yield from self._enter_next_scan()
 
     # Outgoing messages
@@ -310,10 +310,10 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         return self._send(name, self._peers[name].exchange, message)
 
     def _describe_standing(self, name: str) -> dict[str, Any]:
-        outcome, estimation = self._round.outcome, self._round.estimation
-        has_y = outcome is not None and name in self._round.links and not estimation.failure
+        outcome, estimation = self.round.outcome, self.round.estimation
+        has_y = outcome is not None and name in self.round.links and not estimation.failure
         y = estimation.boundary_values(name) if has_y else ()
-        return {"revision": self._revision, "k": self._round.k, "final": outcome is not None, "y": y}
+        return {"revision": self._revision, "k": self.round.k, "final": outcome is not None, "y": y}
 
     def _is_side_complete(self, name: str) -> bool:
         return self._state.is_side_complete(name, self.term, self._now)
@@ -324,7 +324,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         if self._now >= self._scan.deadline:
             self._scan.go_on_without(self._now)
             yield from self._begin()
-        is_anyone_absent = any(not self._peers.is_present(name, self._now) for name in self._round.links)
+        is_anyone_absent = any(not self._peers.is_present(name, self._now) for name in self.round.links)
         if self._is_change_due or (is_anyone_absent and not self._is_at_rest):
             yield from self._change()
         yield from self._enter_next_scan()
@@ -342,7 +342,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
     @property
     def _may_show_readings(self) -> bool:
-        return self._round.outcome is not None
+        return self.round.outcome is not None
 
     def _describe_readings(self) -> Mapping[str, tuple[float, float]]:
         return self._state.describe_readings()

@@ -75,8 +75,8 @@ def run_plant(
             log.info("plant of run %s, seed %s, %s areas", run, scans.seed, len(payloads))
             guard = DuplicateGuard(f"plant of run {run}", incarnation, time.monotonic(), scans.heartbeat_s)
             orders = OrderBook(PLANT, run, began_at=incarnation.start_ms / 1000)
-            loop = _PlantLoop(publishers, inbox, scans.heartbeat_s, guard, session, orders)
-            loop.no_area = _NoAreaWarning(
+            loop = PlantLoop(publishers, inbox, scans.heartbeat_s, guard, session, orders)
+            loop.no_area = NoAreaWarning(
                 time.monotonic() + timeout_s, f"of run {run} within {timeout_s:g} s", endpoints
             )
             loop.follow_signals()
@@ -114,7 +114,7 @@ class _CommandReceived:
 
 
 @dataclass
-class _NoAreaWarning:
+class NoAreaWarning:
     """Warns once if no area has appeared by ``until``. This may be intended: areas may be started later."""
 
     until: float = math.inf
@@ -131,7 +131,7 @@ class _NoAreaWarning:
 
 
 @dataclass
-class _PlantLoop:
+class PlantLoop:
     """Publishes one scan after the other. While silent, it publishes nothing, and its scans go on in time."""
 
     publishers: Mapping[str, Callable[[bytes], None]]
@@ -142,7 +142,7 @@ class _PlantLoop:
     orders: OrderBook
     stop_reason: str = "stopped"
     silent: bool = False
-    no_area: _NoAreaWarning = field(default_factory=_NoAreaWarning)
+    no_area: NoAreaWarning = field(default_factory=NoAreaWarning)
     watchdog: Watchdog = field(default_factory=Watchdog)
     _newest: dict[str, bytes] = field(default_factory=dict)  # area -> its newest readings that are not late
     _due: dict[str, None] = field(default_factory=dict)  # areas to be served, in this order; kept from scan to scan

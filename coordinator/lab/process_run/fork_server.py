@@ -145,7 +145,7 @@ class ForkServer:
         signal.signal(operating_system.CHILD, lambda *_: None)  # the byte on the pipe is enough
         for number in ENDS:
             if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
-                signal.signal(number, self._stop)
+                signal.signal(number, self.stop)
         operating_system.unblock(ENDS)  # which the coordinator has blocked until now
         # children inherit the mask: these signals wait until a process has its handlers, and would end it before
         operating_system.block(n for n in (operating_system.USER_1, operating_system.USER_2) if n is not None)
@@ -170,7 +170,7 @@ class ForkServer:
                 self._report(Ended(PARENT, os.getpid(), -self.signalled))
             self._stop_children()
 
-    def _stop(self, number: int, _: object) -> None:
+    def stop(self, number: int, _: object) -> None:
         self.stopped, self.signalled = True, number
         if self._compiler:
             os.kill(self._compiler, operating_system.KILL)
@@ -182,7 +182,7 @@ class ForkServer:
                     module, _, function = target.partition(":")
                     imported = importlib.import_module(module)
                     if function:
-                        self._compile_in_child(target)
+                        self.compile_in_child(target)
                         if not self.stopped:
                             getattr(imported, function)(*arguments)
                 gc.collect()  # garbage is freed once here, not as copied pages in each child
@@ -200,7 +200,7 @@ class ForkServer:
             case Stop():
                 self.stopped = True
 
-    def _compile_in_child(self, target: str) -> None:
+    def compile_in_child(self, target: str) -> None:
         """Forks a process that compiles the code of ``target``, if the code is not kept yet and a folder can keep it.
 
         The parent then loads the kept code. If the parent compiled, all its children would inherit the memory of the

@@ -145,7 +145,7 @@ def join_run(address: RunAddress, name: str = "") -> Iterator[tuple[Session, str
         TransportError: no endpoint answers in time, no run or several are there.
     """
     run = check_run_id(address.run) if address.run is not None else None
-    keys = load_keys(address.keys, name or _find_own_name(address.keys), run) if address.keys else None
+    keys = load_keys(address.keys, name or find_own_name(address.keys), run) if address.keys else None
     run = keys.access.run if keys else run
     with Session.join(address.endpoints, address.timeout_s, keys, direct=address.direct) as session:
         yield session, run or _find_run(session, address.timeout_s)
@@ -163,7 +163,7 @@ def attach(address: RunAddress, name: str = "", areas: frozenset[str] | None = N
         yield look
 
 
-def _find_own_name(keys: Path) -> str:
+def find_own_name(keys: Path) -> str:
     """Owner of the credentials in ``keys`` for a watcher: the coordinator where it alone has some, else the watcher."""
     has = {name: credentials_in(keys, name).certificate.exists() for name in (WATCHER, COORDINATOR)}
     return COORDINATOR if has[COORDINATOR] and not has[WATCHER] else WATCHER

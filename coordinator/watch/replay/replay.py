@@ -91,7 +91,7 @@ def replay(
     found = Comparison()
     pace = _Pace(speed)
     for tick in read_ticks(folder, found.notes):
-        if why := _find_hole(tick, names):
+        if why := find_hole(tick, names):
             found.left_out[tick.scan] = why
             continue
         pace.wait_for(tick.at)
@@ -103,7 +103,7 @@ def replay(
     return found
 
 
-def _find_hole(tick: Tick, names: Sequence[str]) -> str:
+def find_hole(tick: Tick, names: Sequence[str]) -> str:
     """Reason not to play a scan; empty if it can be played. An area without any record did not take part in it."""
     if strange := (tick.readings.keys() | tick.estimates.keys()) - set(names):
         return f"area {listed(sorted(strange), MOST_NAMED)} is not among the area files"

@@ -197,7 +197,7 @@ def test_a_larger_one_costs_a_good_meter():
 
 def have_lie_of_totals(bus: SimulatedBus, liar: str, **false: object) -> None:
     """The process of ``liar`` itself adds up false totals of its side, and does not name who believes them."""
-    round = bus.protocols[liar]._round
+    round = bus.protocols[liar].round
     add_up = round.add_up
     round.add_up = lambda: replace(add_up(), **false)
 

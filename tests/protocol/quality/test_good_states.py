@@ -103,8 +103,8 @@ def test_who_lacks_the_numbers_of_the_hub_for_the_last_step_is_not_good(to: str)
     watched = Watched(load_scenario("ieee33"))
     hub = watched.bus.protocols["area1"]
     assert isinstance(hub, RoundsProtocol)
-    estimation, verdicts = hub._round.estimation, []
-    decide, honest = hub._round.decide, estimation.information_for
+    estimation, verdicts = hub.round.estimation, []
+    decide, honest = hub.round.decide, estimation.information_for
 
     def note(totals: Totals) -> Verdict:
         verdicts.append(decide(totals))
@@ -115,7 +115,7 @@ def test_who_lacks_the_numbers_of_the_hub_for_the_last_step_is_not_good(to: str)
             raise ArithmeticError("the digits are gone")
         return honest(neighbour, received)
 
-    hub._round.decide, estimation.information_for = note, fail_at_the_last_step  # type: ignore[method-assign]
+    hub.round.decide, estimation.information_for = note, fail_at_the_last_step  # type: ignore[method-assign]
     watched.bus.next_scan(watched.telemetry[2].by_area)
     watched.bus.run(1.0)
     assert watched.bus.states[to].notes[0] == "no estimate: ArithmeticError: no numbers from area1"

@@ -163,7 +163,7 @@ def test_who_does_not_believe_a_neighbour_lets_the_others_come_to_an_end():
     bus.run_until_at_rest(LIMIT_S)
     bus.next_scan()
     bus.run(TRAVEL_S / 2)
-    bus.protocols["a"]._round.find_lie = lambda *_: "made up"
+    bus.protocols["a"].round.find_lie = lambda *_: "made up"
     bus.run(5.0)
     assert {name: protocol.outcome is not None for name, protocol in bus.protocols.items()} == dict.fromkeys(
         bus.files, True

@@ -87,8 +87,8 @@ def test_standard_deviations_rest_on_no_order_of_the_meters():
     """Of a11 the tableau is singular to working precision: its refined inverse is wrong by 1e-11 to 1e-5 by chance."""
     with back_end("dense"):
         bus, _ = run_random_feeder(55)
-        estimation = bus.protocols["a11"]._round.estimation
-        model, at, received = estimation.model, estimation.linearized_at, estimation._received
+        estimation = bus.protocols["a11"].round.estimation
+        model, at, received = estimation.model, estimation.linearized_at, estimation.received
         meters = list(zip(model.meters, model.z.tolist(), model.sigma.tolist(), strict=True))
         n_voltage = 2 * len(model.area.network.buses)
         expected = model.linear.variances(at, received)[0][:n_voltage]

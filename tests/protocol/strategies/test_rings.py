@@ -121,13 +121,13 @@ def scheduled_loads(files):
 def test_an_area_alone_in_its_ring_says_so_and_stays_near_what_it_was():
     """A net load has no side in a ring: each voltage and each power stands in as it was."""
     bus, report, telemetry = settle_ring33()
-    estimation = bus.protocols["main"]._round.estimation
+    estimation = bus.protocols["main"].round.estimation
     as_it_was = np.array(estimation.boundary_values("lateral"))
     bus.kill("lateral")
     bus.next_scan(telemetry.by_area)
     bus.run(20.0)
     assert bus.states["main"].quality == "degraded"
-    stand_in = estimation._stand_ins["lateral"]
+    stand_in = estimation.stand_ins["lateral"]
     np.testing.assert_allclose(np.linalg.solve(stand_in.R, stand_in.z), as_it_was, atol=1e-9)
     np.testing.assert_allclose(np.diag(stand_in.R)[4:], 20.0)
     all_load = sum(map(abs, scheduled_loads(bus.files.values())))

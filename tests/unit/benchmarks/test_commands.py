@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.commands.command import COMMANDS, Cost, _format_rows, find_exponent, find_n_log_n
+from benchmarks.commands.command import COMMANDS, Cost, find_exponent, find_n_log_n, format_rows
 from benchmarks.commands.inputs import write_inputs
 from dsse_core.files.strict_table import load_strict
 from scenarios.files.scenario_file import ScenarioFile
@@ -30,7 +30,7 @@ def test_figures_that_do_not_grow_have_no_exponent():
 
 def test_what_grows_with_the_square_is_named():
     square, log = ({n: Cost(f(n), 100.0) for n in SIZES} for f in (lambda n: n * n / 1e6, lambda n: n * math.log(n)))
-    rows = _format_rows({"square": square, "log": log})
+    rows = format_rows({"square": square, "log": log})
     assert next(row for row in rows if "square" in row).endswith("**yes** |")
     assert next(row for row in rows if "| log" in row).endswith("no |")
     assert find_n_log_n(SIZES) == pytest.approx(1.1, abs=0.05)

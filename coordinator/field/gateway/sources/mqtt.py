@@ -75,7 +75,7 @@ class MqttSource(Source):
         return ""
 
     async def read(self, emit: Emit) -> None:
-        queue = _FairQueue(self.paths.keys())
+        queue = FairQueue(self.paths.keys())
         async with connect(self.settings, queue_type=lambda maxsize: queue) as client:
             subscribed: list[tuple[str, int]] = [
                 (topic, self.settings.qos) for topic in self.settings.topics or self.paths
@@ -83,7 +83,7 @@ class MqttSource(Source):
             await client.subscribe(subscribed)
             async for message in client.messages:
                 if queue.dropped:
-                    _report_dropped(queue, emit)
+                    report_dropped(queue, emit)
                 self._take(message, emit)
 
     def _take(self, message: aiomqtt.Message, emit: Emit) -> None:
@@ -127,7 +127,7 @@ class MqttSource(Source):
                 emit.reject(MALFORMED, f"address {address}: nothing at {path} of payload {payload[:80]!r}")
 
 
-class _FairQueue(asyncio.Queue[aiomqtt.Message]):
+class FairQueue(asyncio.Queue[aiomqtt.Message]):
     """Queue with at most MOST_OF_A_TOPIC messages of each topic; beyond that, the oldest of the topic is dropped and
     counted. All topics that are not ``known`` count as one, since their number has no limit.
     """
@@ -169,7 +169,7 @@ class _FairQueue(asyncio.Queue[aiomqtt.Message]):
         return item
 
 
-def _report_dropped(queue: _FairQueue, emit: Emit) -> None:
+def report_dropped(queue: FairQueue, emit: Emit) -> None:
     for topic, count in queue.dropped.items():
         for _ in range(count):
             emit.reject(DROPPED, f"topic {topic}: more messages than this host can take; the newest are kept")

@@ -71,7 +71,7 @@ class OpcUaSource(Source):
             await client.set_security_string(settings.security)
         async with client:
             nodes: dict[Any, str] = {client.get_node(address): address for address in self.addresses}
-            handler = _Handler(nodes, emit)
+            handler = SubscriptionHandler(nodes, emit)
             subscription = await client.create_subscription(1000 * settings.interval_s, handler)
             for node, status in (await _subscribe(subscription, list(nodes))).items():
                 emit.reject(NOT_THERE, f"address {nodes[node]}: {status.name}")
@@ -112,7 +112,7 @@ async def _monitor(subscription: Any, nodes: Sequence[Any], only: Any, first: in
     return {node: found for node, found in zip(nodes, results, strict=True) if isinstance(found, ua.StatusCode)}
 
 
-class _Handler:
+class SubscriptionHandler:
     """Receiver of the server's notifications."""
 
     def __init__(self, nodes: dict[Any, str], emit: Emit) -> None:

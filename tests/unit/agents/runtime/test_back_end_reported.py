@@ -28,6 +28,6 @@ def test_calls_that_the_tree_has_left_are_reported_and_messages_away_from_the_re
         reported = {area.name: bus.protocols[area.name].describe_backend() for area in feeder.partition.areas}
         assert set(reported.values()) == {"radial"}
         protocol = bus.protocols["a1"]
-        protocol._round.estimation.model.linear.declined["an open combination of p and q"] += 2
+        protocol.round.estimation.model.linear.declined["an open combination of p and q"] += 2
         left = "radial, calls left to sparse matrices: 2 for an open combination of p and q"
         assert protocol.describe_backend() == left

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from agents.security.credential_files import credentials_in
-from coordinator.watch.observe.attachment import _find_own_name
+from coordinator.watch.observe.attachment import find_own_name
 
 
 @pytest.mark.parametrize(
@@ -20,4 +20,4 @@ from coordinator.watch.observe.attachment import _find_own_name
 def test_who_watches_shows_the_certificate_with_the_least_rights(tmp_path: Path, there: tuple[str, ...], name: str):
     for owner in there:
         credentials_in(tmp_path, owner).certificate.touch()
-    assert _find_own_name(tmp_path) == name
+    assert find_own_name(tmp_path) == name

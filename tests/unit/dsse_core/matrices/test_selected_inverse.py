@@ -54,17 +54,17 @@ def test_places_are_closed_in_one_pass_and_a_limit_ends_it(monkeypatch, seed):
         below, right = there[k + 1 :, k], there[k, k + 1 :]
         looked_at += int(below.sum() * right.sum())
         there[k + 1 :, k + 1 :] |= np.outer(below, right)
-    places = selected_inverse._Places.closed(key, n)
+    places = selected_inverse.Places.closed(key, n)
     np.testing.assert_array_equal(places.key, np.flatnonzero(there))
     assert len(places.product) == looked_at
     monkeypatch.setattr(selected_inverse, "MOST_PRODUCTS", looked_at - 1)
-    assert selected_inverse._Places.closed(key, n) is None
+    assert selected_inverse.Places.closed(key, n) is None
 
 
 def test_no_round_over_all_products_is_done_twice(monkeypatch):
     passes = []
-    of_places = selected_inverse._Places._products
-    monkeypatch.setattr(selected_inverse._Places, "_products", lambda p: passes.append(p) or of_places(p))
+    of_places = selected_inverse.Places._products
+    monkeypatch.setattr(selected_inverse.Places, "_products", lambda p: passes.append(p) or of_places(p))
     A = make_matrix(1)
     find_inverse_diagonal(A, spla.splu(A))
     assert len(passes) == 1

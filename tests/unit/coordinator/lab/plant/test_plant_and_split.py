@@ -23,7 +23,7 @@ from agents.transport.renewable_bus import RenewableBus
 from agents.transport.zenoh_bus import Session
 from coordinator.cli.processes import plant
 from coordinator.lab.deployment.split import area_files, write_area_files
-from coordinator.lab.plant.plant import BURST, _NoAreaWarning, _PlantLoop, run_plant
+from coordinator.lab.plant.plant import BURST, NoAreaWarning, PlantLoop, run_plant
 from coordinator.lab.plant.scans import MadeScan, OwnScans
 from coordinator.lab.plant.telemetry_messages import make_payloads
 from coordinator.watch.observe.run_address import choose_run_id, default_run_id
@@ -167,7 +167,7 @@ def test_a_plant_whose_scans_follow_at_once_publishes_each_and_can_be_stopped():
     published: list[bytes] = []
     inbox = Inbox()
     guard = DuplicateGuard("plant", Incarnation(1, 1), 0.0, heartbeat_s=0.2)
-    loop = _PlantLoop(
+    loop = PlantLoop(
         {"area1": published.append}, inbox, heartbeat_s=0.2, guard=guard, bus=no_bus(), orders=OrderBook("plant", "run")
     )
     assert not loop.publish_scan({"area1": b"scan 1"}, {}, duration_s=1e-9)
@@ -181,7 +181,7 @@ def test_a_plant_sends_much_in_pieces_and_who_waits_when_a_scan_ends_is_first_in
     areas = [f"area{k}" for k in range(1, 4)]
     publishers = {area: lambda payload, area=area: published.append(f"{area} {payload[:1].decode()}") for area in areas}
     guard = DuplicateGuard("plant", Incarnation(1, 1), 0.0, heartbeat_s=LONGEST_S)
-    loop = _PlantLoop(
+    loop = PlantLoop(
         publishers, Inbox(), heartbeat_s=LONGEST_S, guard=guard, bus=no_bus(), orders=OrderBook("plant", "run")
     )
     for scan in (b"1", b"2", b"3"):
@@ -220,10 +220,10 @@ def scenario_of_neighbours(folder: Path, more: str = "") -> Path:
 def test_a_plant_that_no_area_receives_says_so_once(caplog, is_received: bool):
     inbox = Inbox()
     guard = DuplicateGuard("plant", Incarnation(1, 1), 0.0, heartbeat_s=0.2)
-    loop = _PlantLoop(
+    loop = PlantLoop(
         {"area1": lambda _: None}, inbox, heartbeat_s=0.2, guard=guard, bus=no_bus(), orders=OrderBook("plant", "run")
     )
-    loop.no_area = _NoAreaWarning(0.0, "of run near within 1 s", ["tcp/127.0.0.1:7501"])
+    loop.no_area = NoAreaWarning(0.0, "of run near within 1 s", ["tcp/127.0.0.1:7501"])
     if is_received:
         key = live_key("near", "area", "area1", Incarnation(1, 1))
         inbox.put(key, key)

@@ -42,7 +42,7 @@ def pids(tmp_path: Path) -> list[int]:
 
 
 def test_the_parent_of_all_processes_does_not_compile(server: ForkServer, tmp_path: Path):
-    server._compile_in_child(TARGET)
+    server.compile_in_child(TARGET)
     (compiler,) = pids(tmp_path)
     assert compiler != os.getpid()
     with pytest.raises(ChildProcessError):
@@ -50,9 +50,9 @@ def test_the_parent_of_all_processes_does_not_compile(server: ForkServer, tmp_pa
 
 
 def test_what_is_kept_takes_no_process(server: ForkServer, tmp_path: Path):
-    server._compile_in_child(TARGET)
-    server._compile_in_child(TARGET)
-    server._compile_in_child("anything:else")
+    server.compile_in_child(TARGET)
+    server.compile_in_child(TARGET)
+    server.compile_in_child("anything:else")
     assert len(pids(tmp_path)) == 1
 
 
@@ -60,7 +60,7 @@ def test_without_a_place_to_keep_it_no_other_process_compiles(
     server: ForkServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(fork_server, "find_folder_to_keep_in", lambda: None)
-    server._compile_in_child(TARGET)
+    server.compile_in_child(TARGET)
     assert not (tmp_path / "pids").exists()
 
 
@@ -72,8 +72,8 @@ class Sibling:
 def test_a_forked_child_does_not_describe_all_that_were_forked_before_it(server: ForkServer):
     """``signal.getsignal`` puts the handler, a method of the parent, into the words of an error that nobody sees."""
     server.children[1] = Sibling()  # type: ignore[assignment]
-    before = signal.signal(signal.SIGUSR1, server._stop)
+    before = signal.signal(signal.SIGUSR1, server.stop)
     try:
-        assert signal.getsignal(signal.SIGUSR1) == server._stop
+        assert signal.getsignal(signal.SIGUSR1) == server.stop
     finally:
         signal.signal(signal.SIGUSR1, before)

@@ -23,7 +23,7 @@ from coordinator.watch.recording.frames import MAGIC, MARK, frame
 from coordinator.watch.recording.row_checks import TYPES
 from coordinator.watch.recording.rows import COLUMNS
 from coordinator.watch.replay import recorded_messages, ticks
-from coordinator.watch.replay.replay import _find_hole
+from coordinator.watch.replay.replay import find_hole
 from coordinator.watch.replay.ticks import Tick, read_ticks
 from dsse_core.errors import InvalidInputError
 from tests.support.dsse_command import ENVIRONMENT, ROOT
@@ -127,7 +127,7 @@ def test_numbers_that_the_bus_allows_are_played_without_a_warning(
         assert {tick.scan for tick in ticks} >= {*range(1, SCANS + 1)}
         source = play_recording(folder, None, [])
         assert all(source.frame(k) for k in range(len(source.times())))
-        assert not any(_find_hole(tick, [*tick.readings]) for tick in ticks if tick.readings)
+        assert not any(find_hole(tick, [*tick.readings]) for tick in ticks if tick.readings)
 
 
 @pytest.mark.parametrize("kind", FILE_KINDS)

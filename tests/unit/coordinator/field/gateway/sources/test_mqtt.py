@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 import coordinator.field.gateway.broker
 from coordinator.field.gateway.sources import mqtt
-from coordinator.field.gateway.sources.mqtt import MqttSettings, MqttSource, _FairQueue
+from coordinator.field.gateway.sources.mqtt import FairQueue, MqttSettings, MqttSource
 from tests.support.mqtt_broker import broker
 
 pytestmark = pytest.mark.slow
@@ -88,7 +88,7 @@ def test_a_flood_of_one_topic_takes_no_message_of_another_and_is_counted(recorde
         return aiomqtt.Message(topic, str(k).encode(), 0, False, k, None)
 
     async def test() -> None:
-        queue = _FairQueue({"quiet", "loud"})
+        queue = FairQueue({"quiet", "loud"})
         queue.put_nowait(message("quiet", 1))
         for k in range(10_000):
             queue.put_nowait(message("loud", k))
@@ -97,7 +97,7 @@ def test_a_flood_of_one_topic_takes_no_message_of_another_and_is_counted(recorde
         assert str(found[0].topic) == "quiet"
         assert [int(m.payload) for m in found[1:]] == list(range(10_000 - mqtt.MOST_OF_A_TOPIC, 10_000))
         assert queue.empty()
-        mqtt._report_dropped(queue, recorder)
+        mqtt.report_dropped(queue, recorder)
 
     run(test())
     assert len(recorder.rejected) == 10_000 - mqtt.MOST_OF_A_TOPIC
@@ -108,7 +108,7 @@ def test_a_flood_of_ever_new_topics_and_of_large_payloads_takes_no_memory(record
     large = bytes(10 * mqtt.LARGEST_PAYLOAD)
 
     async def test() -> None:
-        queue = _FairQueue({"quiet"})
+        queue = FairQueue({"quiet"})
         queue.put_nowait(aiomqtt.Message("quiet", large, 0, False, 0, None))
         for k in range(10_000):
             queue.put_nowait(aiomqtt.Message(f"new/{k}", b"1", 0, False, k, None))
@@ -118,7 +118,7 @@ def test_a_flood_of_ever_new_topics_and_of_large_payloads_takes_no_memory(record
         assert sum(len(m.payload) for m in waiting) < 2 * mqtt.LARGEST_PAYLOAD
         for each in waiting:
             source._take(each, recorder)
-        mqtt._report_dropped(queue, recorder)
+        mqtt.report_dropped(queue, recorder)
 
     run(test())
     assert [address for address, *_ in recorder.readings] == [f"new/{k}" for k in range(9_900, 10_000)]

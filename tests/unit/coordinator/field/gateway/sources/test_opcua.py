@@ -12,7 +12,7 @@ import pytest
 from asyncua import Server, ua
 from asyncua.server.monitored_item_service import MonitoredItemService
 
-from coordinator.field.gateway.sources.opcua import OpcUaSettings, OpcUaSource, _Handler
+from coordinator.field.gateway.sources.opcua import OpcUaSettings, OpcUaSource, SubscriptionHandler
 
 pytestmark = pytest.mark.slow
 
@@ -101,7 +101,7 @@ def test_a_server_that_cannot_report_new_times_reports_new_values(
 def test_values_that_a_server_had_no_room_for_are_counted(recorder) -> None:
     item = ua.MonitoredItemNotification(Value=ua.DataValue(ua.Variant(1.0), ua.StatusCode(0x480)))
     node = object()
-    handler = _Handler({node: "ns=2;s=u"}, recorder)
+    handler = SubscriptionHandler({node: "ns=2;s=u"}, recorder)
     handler.datachange_notification(node, 1.0, SimpleNamespace(monitored_item=item))
     assert recorder.values_of("ns=2;s=u") == [1.0]
     assert recorder.readings[0][3]
