@@ -1,21 +1,162 @@
-"""Description of the API in OpenAPI 3.1."""
+"""Description of the API in OpenAPI 3.1: its paths, and the types of its answers, whose schemas msgspec writes."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, NotRequired, TypedDict
+
+import msgspec
 
 from coordinator.lab.evaluation.answers import version_of
 from coordinator.show.web.history import KINDS
 
+Number = float | None
+"""A number; null where it is not known."""
+Columns = dict[str, list[Number | str]]
+"""Name of a column -> its values, one for each row."""
+
+
+class Health(TypedDict):
+    """The server runs."""
+
+    status: Literal["ok"]
+    mode: Literal["live", "playback"]
+
+
+class BusColumns(TypedDict):
+    """Columns of the grid's buses; coordinates are those of the drawing."""
+
+    id: list[int]
+    name: list[str]
+    base_kv: list[Number]
+    x: list[float]
+    y: list[float]
+    distance: list[Number]
+    area: list[str]
+    areas: list[list[str]]
+
+
+class BranchColumns(TypedDict):
+    """Columns of the grid's branches."""
+
+    id: list[str]
+    from_bus: list[int]
+    to_bus: list[int]
+    in_service: list[bool]
+    area: list[str]
+
+
+class Meeting(TypedDict):
+    """A neighbour and a bus at which it meets the area."""
+
+    area: str
+    bus: int
+
+
+class GridArea(TypedDict):
+    """An area of the grid."""
+
+    name: str
+    buses: list[int]
+    neighbours: list[Meeting]
+
+
+class Grid(TypedDict):
+    """Drawing of the grid, which rarely changes; ``known``: from a scenario, else from the states on the bus."""
+
+    version: str
+    mode: str
+    known: bool
+    title: str
+    axis: str
+    limits: list[float]
+    buses: BusColumns
+    branches: BranchColumns
+    areas: list[GridArea]
+
+
+class Event(TypedDict):
+    """A change from one moment to the next, in words."""
+
+    time: float
+    area: str
+    kind: str
+    text: str
+
+
+Link = TypedDict("Link", {"from": str, "to": str, "age_s": Number, "alive": bool})
+"""Link from one area to a neighbour, as the receiver reports it."""
+
+
+class Moment(TypedDict):
+    """All that a page shows at one moment; before the first view only number, mode and time."""
+
+    number: int
+    mode: str
+    time: float
+    at: NotRequired[float]
+    grid_version: NotRequired[str]
+    view: NotRequired[dict[str, Any]]
+    buses: NotRequired[Columns]
+    branches: NotRequired[Columns]
+    meters: NotRequired[Columns]
+    meter_counts: NotRequired[dict[str, int]]
+    links: NotRequired[list[Link]]
+    events: NotRequired[list[Event]]
+    messages: NotRequired[list[dict[str, Any]]]
+    has_messages: NotRequired[bool]
+
+
+class Past(TypedDict):
+    """Times and columns of one bus, branch, meter or area; ``complete``: false where more of them will be found."""
+
+    time: list[float]
+    columns: dict[str, list[Number]]
+    complete: bool
+
+
+class Rows(TypedDict):
+    """Columns of some rows of a table that has ``total`` rows."""
+
+    total: int
+    rows: Columns
+
+
+class Frames(TypedDict):
+    """Times of the moments that can be played back, s from ``since``; ``complete``: none will be added."""
+
+    times: list[float]
+    since: float
+    remarks: list[str]
+    complete: bool
+
+
+class Problem(TypedDict):
+    """The problem of a question."""
+
+    problem: str
+
+
+ANSWERS: dict[str, Any] = {
+    "/health": Health,
+    "/api/grid": Grid,
+    "/api/now": Moment,
+    "/api/stream": Moment,
+    "/api/history": Past,
+    "/api/rows": Rows,
+    "/api/frames": Frames,
+    "/api/frame/{number}": Moment,
+    "/api/openapi.json": dict[str, Any],
+}
+"""Path -> the type of its answer."""
 PATHS = {
-    "/health": "Whether the server runs, and in which mode.",
-    "/api/grid": "What does not change: buses with their places, branches, areas, limits. Columns have one order.",
+    "/health": "Sign that the server runs, and its mode.",
+    "/api/grid": "The grid, which rarely changes: buses and their places, branches, areas, limits, all in one order.",
     "/api/now": "The newest moment: areas, links, events, the worst meters, voltages in the order of the grid.",
     "/api/stream": "The same as server-sent events, at most four a second.",
     "/api/history": "The recent past of one bus, branch, meter or area: times, and a list for each column.",
     "/api/rows": "All columns of one bus, branch or meter, or of some, meters the worst first; total: of how many.",
-    "/api/frames": "Times of the moments that can be played back, none of a live page; remarks; complete: all?",
-    "/api/frame/{number}": "One of them, as /api/now.",
+    "/api/frames": "Times of moments that can be played back, none of a live page; remarks; complete: no more come.",
+    "/api/frame/{number}": "One of these moments, as /api/now.",
     "/api/openapi.json": "This description.",
 }
 TEXT, WHOLE = {"type": "string"}, {"type": "integer", "minimum": 0}
@@ -43,13 +184,16 @@ WRONG = {
 }
 GUARDED = {
     "401": {"description": "the page has a token, which is missing or wrong"},
-    "403": {"description": "asked for by the page of another site"},
-    "421": {"description": "asked for under a name that is not the page's"},
+    "403": {"description": "request by the page of another site"},
+    "421": {"description": "request under a name that is not the page's"},
 }
 
 
 def describe_api() -> dict[str, Any]:
     """The OpenAPI document of all paths, which are read-only."""
+    types = [*ANSWERS.values(), Problem]
+    schemas, named = msgspec.json.schema_components(types, ref_template="#/components/schemas/{name}")
+    answer_of, problem = dict(zip(ANSWERS, schemas, strict=False)), schemas[-1]
     return {
         "openapi": "3.1.0",
         "info": {
@@ -57,11 +201,16 @@ def describe_api() -> dict[str, Any]:
             "version": version_of("consensus-dsse") or "0",
             "description": "Read-only. Units stand at the end of names: vm_pu, va_deg, p_kw.",
         },
-        "paths": {path: {"get": _describe(path, text)} for path, text in PATHS.items()},
+        "paths": {path: {"get": _describe(path, text, answer_of[path], problem)} for path, text in PATHS.items()},
+        "components": {"schemas": named},
     }
 
 
-def _describe(path: str, text: str) -> dict[str, Any]:
+def _describe(path: str, text: str, answer: dict[str, Any], problem: dict[str, Any]) -> dict[str, Any]:
     media = "text/event-stream" if path == "/api/stream" else "application/json"
-    answers = {"200": {"description": text, "content": {media: {}}}} | WRONG.get(path, {}) | GUARDED
+    wrong = {
+        status: said | {"content": {"application/json": {"schema": problem}}}
+        for status, said in WRONG.get(path, {}).items()
+    }
+    answers = {"200": {"description": text, "content": {media: {"schema": answer}}}} | wrong | GUARDED
     return {"summary": text, "parameters": PARAMETERS.get(path, []), "responses": answers}

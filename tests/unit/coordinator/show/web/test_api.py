@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import msgspec
 import pytest
 from starlette.applications import Starlette
 from starlette.routing import Mount, Route
@@ -11,6 +12,7 @@ from starlette.routing import Mount, Route
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
 from coordinator.show.web.app import make_app
+from coordinator.show.web.openapi import ANSWERS, Problem
 from coordinator.watch.http_front import Front
 from coordinator.watch.observe.watch import Watcher
 from tests.support.served import client, live, played, wait_for
@@ -144,6 +146,31 @@ def test_the_description_of_the_api_has_every_path():
     served = {route.path for route in app.routes if isinstance(route, Route | Mount)}
     assert set(described) == served - {"/", "/static"}
     assert set(described["/api/frame/{number}"]["get"]["responses"]) == {"200", "401", "403", "404", "421"}
+
+
+def test_every_answer_has_the_type_that_the_description_of_the_api_states():
+    asked = client(played("ieee33-lossy"))
+    paths = {
+        "/health": "",
+        "/api/grid": "",
+        "/api/now": "",
+        "/api/history": "?kind=meter&id=vm@1",
+        "/api/rows": "?kind=meter",
+        "/api/frames": "",
+        "/api/frame/{number}": "",
+        "/api/openapi.json": "",
+    }
+    described = asked.get("/api/openapi.json").json()
+    for path, query in paths.items():
+        body = asked.get(path.replace("{number}", "3") + query).content
+        found = msgspec.json.decode(body, type=ANSWERS[path])
+        required = getattr(ANSWERS[path], "__required_keys__", frozenset())
+        optional = getattr(ANSWERS[path], "__optional_keys__", frozenset())
+        assert required <= found.keys() <= required | optional or not required, path
+        schema = described["paths"][path]["get"]["responses"]["200"]["content"]["application/json"]["schema"]
+        assert schema.get("$ref", f"#/components/schemas/{ANSWERS[path].__name__}").endswith(ANSWERS[path].__name__)
+    assert {"Moment", "Grid", "Rows", "Past", "Problem"} <= described["components"]["schemas"].keys()
+    assert msgspec.json.decode(asked.get("/api/rows").content, type=Problem)
 
 
 def test_without_a_scenario_the_page_shows_what_is_on_the_bus():
