@@ -97,6 +97,10 @@ class Observer:
     def __post_init__(self) -> None:
         self._courses = {area.name: _Course() for area in self.partition.areas}
         self._buses = {area.name: area.network.table.bus_id for area in self.partition.areas}
+        self._boundaries_of: dict[str, list[tuple[int, tuple[str, ...]]]] = {}
+        for bus, names in self.partition.boundaries.items():
+            for name in names:
+                self._boundaries_of.setdefault(name, []).append((bus, names))
         self.watcher = Watcher(self.run, frozenset(self._buses))
         self._changes = 0
         self._disturbed_at = -math.inf  # time of the last disturbance
@@ -170,9 +174,7 @@ class Observer:
         """Sentences on boundary buses where a neighbour publishes another voltage for the same scan.
 
         One of the two areas has received false numbers."""
-        for bus, names in self.partition.boundaries.items():
-            if area not in names:
-                continue
+        for bus, names in self._boundaries_of.get(area, ()):
             others = names[1:] if area == names[0] else names[:1]
             for other in others:
                 one, two = self.watcher.state_of(area), self.watcher.state_of(other)
