@@ -28,7 +28,7 @@ from benchmarks.fuzz import parsing
 from benchmarks.fuzz.mutations import STEERING, spoil_bytes, spoil_text, spoil_tree
 from coordinator.lab.deployment.split import area_files
 from coordinator.watch.observe.view_text import format_view
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.decision import Totals
 from dsse_core.grid.boundary import boundary_at

@@ -9,7 +9,7 @@ import numpy as np
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Header, Incarnation, ReadingsMessage, StateMessage
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 from scenarios.scenario import Scenario
 from scenarios.telemetry import read_meters
 

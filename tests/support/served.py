@@ -20,7 +20,7 @@ from coordinator.show.web.playback.source import PlaybackSource
 from coordinator.show.web.server import Place, serve
 from coordinator.show.web.sources import LiveSource, Source
 from coordinator.watch.http_front import Front
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 
 HOST = "127.0.0.1:8080"
 

@@ -18,7 +18,7 @@ from coordinator.watch.observe.run_address import RunAddress
 
 if TYPE_CHECKING:  # the real imports stand in the command, so that every other starts fast
     from coordinator.watch.observe.grid_tables import GridTables
-    from coordinator.watch.observe.watch import Watcher
+    from coordinator.watch.observe.watcher import Watcher
     from dsse_core.results.table import Table
 
     Tables = Callable[[Watcher], Mapping[str, Table]]
@@ -159,7 +159,7 @@ def metrics(
     check_prometheus()
     from agents.runtime.log import start_log
     from coordinator.watch.listen import parse_listen
-    from coordinator.watch.metrics.page import MetricsPage
+    from coordinator.watch.metrics.metrics_page import MetricsPage
     from coordinator.watch.observe.attachment import attach
 
     start_log()

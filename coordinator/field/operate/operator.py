@@ -15,7 +15,7 @@ from agents.security.access import OPERATOR, PLANT
 from agents.transport.zenoh_bus import Session
 from coordinator.watch.observe.attachment import STEP_S, Look, attach, wait_until_whole
 from coordinator.watch.observe.run_address import RunAddress
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.printable import listed
 

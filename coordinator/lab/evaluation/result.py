@@ -15,7 +15,7 @@ from coordinator.lab.evaluation.run_tables import make_run_tables
 from coordinator.lab.evaluation.verdict import Verdict
 from coordinator.watch.observe.duplicates import Duplicate
 from coordinator.watch.observe.observer import Observer, Sample
-from coordinator.watch.observe.watch import count_exchanges
+from coordinator.watch.observe.watcher import count_exchanges
 from coordinator.watch.tables.table_files import write_json, write_tables
 from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.grid.measurement import Measurement

@@ -39,7 +39,7 @@ from coordinator.lab.process_run.run_status import (
 )
 from coordinator.lab.process_run.system import System
 from coordinator.lab.strategy_check import plan_with_strategy
-from coordinator.watch.observe.events import EventLog
+from coordinator.watch.observe.event_log import EventLog
 from coordinator.watch.observe.observer import Observer
 from coordinator.watch.observe.progress import UPDATE_S, Progress, describe_progress
 from coordinator.watch.observe.run_address import default_run_id

@@ -19,7 +19,7 @@ from coordinator.lab.process_run.fork_server import Ended, Started
 from coordinator.lab.process_run.processes import describe_end, read_end
 from coordinator.lab.process_run.system import System
 from coordinator.watch.observe.duplicates import Duplicate, Duplicates
-from coordinator.watch.observe.events import EventLog
+from coordinator.watch.observe.event_log import EventLog
 from coordinator.watch.observe.observer import Observer
 from coordinator.watch.observe.state_log import StateLog
 from coordinator.watch.observe.updates import Updates

@@ -25,7 +25,7 @@ from coordinator.lab.simulator.simulated_recording import SimulatedRecording
 from coordinator.lab.simulator.simulator import STARTED_AT, SimulatedBus
 from coordinator.lab.simulator.subscriber import Subscriber
 from coordinator.lab.strategy_check import check_with_strategy
-from coordinator.watch.observe.events import EventLog
+from coordinator.watch.observe.event_log import EventLog
 from coordinator.watch.observe.progress import UPDATE_S, Progress, describe_progress
 from coordinator.watch.observe.run_address import default_run_id
 from coordinator.watch.observe.state_log import StateLog

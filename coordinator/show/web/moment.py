@@ -16,7 +16,7 @@ from coordinator.show.web.shown_tables import Tables, draw_tables
 from coordinator.watch.observe.grid_tables import GridTables, collect_readings, list_buses
 from coordinator.watch.observe.view import AreaView, View
 from coordinator.watch.observe.view_json import describe_view
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 
 MOST_EVENTS = 200
 

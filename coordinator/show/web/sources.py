@@ -12,7 +12,7 @@ from coordinator.show.web.drawing import Drawing, draw_scenario, draw_states, en
 from coordinator.show.web.moment import Moments, encode_json
 from coordinator.show.web.shown_tables import Tables
 from coordinator.watch.observe.grid_tables import GridTables
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 
 UPDATE_S = 0.25  # least time between two moments
 BUSY_SHARE = 5  # the pause between two moments is at least this multiple of the time for making a moment

@@ -14,11 +14,11 @@ from agents.runtime.inbox import Inbox
 from agents.runtime.renewal import Renewal, on_hangup
 from agents.runtime.watchdog import Watchdog
 from agents.transport.zenoh_bus import TransportError
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import InvalidInputError
 
 if TYPE_CHECKING:
-    from coordinator.watch.metrics.page import MetricsPage
+    from coordinator.watch.metrics.metrics_page import MetricsPage
 
 log = logging.getLogger(__name__)
 LOOK_S = 0.25

@@ -29,7 +29,6 @@ from agents.transport.zenoh_bus import Session, TransportError
 from coordinator.watch.observe.run_address import RunAddress, check_run_id
 from coordinator.watch.observe.updates import Updates
 from coordinator.watch.observe.view import OVER_S
-from coordinator.watch.observe.watch import Watcher
 from coordinator.watch.observe.watched_keys import (
     NAMED_BY_NEIGHBOUR,
     PresenceByName,
@@ -37,6 +36,7 @@ from coordinator.watch.observe.watched_keys import (
     readings_keys,
     state_keys,
 )
+from coordinator.watch.observe.watcher import Watcher
 from dsse_core.printable import listed
 
 ANY = "*"

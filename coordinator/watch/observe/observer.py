@@ -23,7 +23,7 @@ from agents.messages.keys import live_key
 from agents.messages.packing import NO_INCARNATION, StateMessage
 from agents.peers.freshness import PATIENCE_HEARTBEATS
 from agents.protocol.quality import GOOD, NONE, STALE, UNOBSERVABLE, Assessment, assess_from_outside
-from coordinator.watch.observe.watch import Watcher, count_exchanges
+from coordinator.watch.observe.watcher import Watcher, count_exchanges
 from dsse_core.grid.columns import read_ids
 from dsse_core.grid.partition import Partition
 from dsse_core.printable import printable

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from agents.messages.packing import StateMessage
 from coordinator.watch.observe.observer import Observer
-from coordinator.watch.observe.watch import count_exchanges
+from coordinator.watch.observe.watcher import count_exchanges
 
 UPDATE_S = 0.1  # of wall time between two updates
 

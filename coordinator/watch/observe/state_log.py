@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from agents.messages.packing import Incarnation, StateMessage
 from agents.runtime.link_faults import KINDS
-from coordinator.watch.observe.events import EventLog
+from coordinator.watch.observe.event_log import EventLog
 
 NO_COMMAND = (0, 0, 0)
 

@@ -29,7 +29,7 @@ from coordinator.watch.recording.folder import (
 )
 from coordinator.watch.recording.frames import is_being_written
 from coordinator.watch.recording.parquet import has_parquet, sync_path, write_rows
-from coordinator.watch.recording.rows import Row, RowMaker
+from coordinator.watch.recording.recorded_tables import Row, RowMaker
 from dsse_core import operating_system
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.files.drafts import draft_folder, remove_leftovers

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from coordinator.watch.recording.parquet_pages import read_pages
+from coordinator.watch.recording.recorded_tables import COLUMNS, INTEGER, NUMBER, TEXT, TEXTS, TIME, TRUTH, Row
 from coordinator.watch.recording.row_checks import RowCheck
-from coordinator.watch.recording.rows import COLUMNS, INTEGER, NUMBER, TEXT, TEXTS, TIME, TRUTH, Row
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import open_regular
 

@@ -16,7 +16,7 @@ from agents.messages.keys import NAME, incarnation_of, live_key, name_of_live
 from agents.messages.packing import NO_INCARNATION, Header, ReadingsMessage, StateMessage
 from coordinator.watch.recording.entries import APPEARED, VANISHED
 from coordinator.watch.recording.folder import list_segments, table_of
-from coordinator.watch.recording.rows import COLUMNS
+from coordinator.watch.recording.recorded_tables import COLUMNS
 from coordinator.watch.replay.recorded_rows import LOST, note, rows_of_segment
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_parsing import parse_json

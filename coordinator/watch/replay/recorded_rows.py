@@ -10,7 +10,7 @@ from typing import Any
 from coordinator.watch.recording.closing import rows_of_log
 from coordinator.watch.recording.folder import log_of, table_of
 from coordinator.watch.recording.parquet import read_rows
-from coordinator.watch.recording.rows import ADDED, COLUMNS, Row
+from coordinator.watch.recording.recorded_tables import ADDED, COLUMNS, Row
 from dsse_core.errors import LONGEST_LINE
 from dsse_core.printable import on_one_line, printable, shortened_inside
 

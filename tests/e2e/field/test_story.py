@@ -18,7 +18,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from agents.messages.packing import StateMessage
 from coordinator.watch.observe.attachment import Look, attach
 from coordinator.watch.observe.run_address import RunAddress
-from coordinator.watch.observe.watch import AreaView
+from coordinator.watch.observe.watcher import AreaView
 from coordinator.watch.recording.parquet import read_rows
 from tests.support.field.feeder import WAYS, FeederUnderWay, running_feeder
 from tests.support.waiting import DEADLINE_S, wait_until

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.watch.observe.events import EventLog
+from coordinator.watch.observe.event_log import EventLog
 from tests.support.dsse_command import COMMAND, WITH_LIMITS
 from tests.support.waiting import DEADLINE_S
 

@@ -17,7 +17,7 @@ from coordinator.lab.evaluation.evaluation import choose_scenario
 from coordinator.show.web import app, sources
 from coordinator.show.web.sources import LiveSource
 from coordinator.watch.observe.grid_tables import GridTables
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 from tests.support.browser import browsing, find_chromium
 from tests.support.served import played, serving
 from tests.support.shown_states import published_by

@@ -11,7 +11,7 @@ import pytest
 
 from coordinator.lab.simulator.simulate import simulate_scenario
 from coordinator.watch.recording.closing import close_ended
-from coordinator.watch.recording.rows import COLUMNS
+from coordinator.watch.recording.recorded_tables import COLUMNS
 from scenarios.scenario import load_scenario
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "recording.md"

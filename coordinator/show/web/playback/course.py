@@ -12,7 +12,7 @@ from typing import Any
 from agents.messages.packing import ReadingsMessage, StateMessage
 from coordinator.show.web.moment import Events, find_links
 from coordinator.show.web.playback.play import Play
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 from coordinator.watch.replay.recorded_messages import Presence, Update
 
 STEP = 64  # least number of updates between two copies of the watcher

@@ -24,7 +24,7 @@ from agents.protocol.quality import (
 from coordinator.lab.evaluation.evaluation import Centralised, evaluate, make_observer
 from coordinator.lab.evaluation.result import RunResult, as_json
 from coordinator.show.report.text import format_verdict
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 from tests.support.shown_states import published_by

@@ -14,7 +14,7 @@ from agents.messages.packing import Incarnation
 from coordinator.show.web.app import make_app
 from coordinator.show.web.openapi import ANSWERS, Problem
 from coordinator.watch.http_front import Front
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 from tests.support.served import client, live, played, wait_for
 from tests.support.shown_states import a_state, published_by
 

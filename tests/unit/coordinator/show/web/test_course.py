@@ -17,7 +17,7 @@ from coordinator.show.web.playback import source as sources
 from coordinator.show.web.playback.course import Course
 from coordinator.show.web.playback.play import IN_SIMULATION, Play, Sent
 from coordinator.show.web.playback.source import PlaybackSource
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 from coordinator.watch.replay.recorded_messages import Presence
 from tests.support.shown_states import published_by
 

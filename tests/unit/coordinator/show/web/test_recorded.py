@@ -10,7 +10,7 @@ import pytest
 
 from agents.messages.keys import live_key
 from coordinator.show.web.playback.source import play_recording
-from coordinator.watch.recording import rows
+from coordinator.watch.recording import recorded_tables as rows
 from coordinator.watch.recording.closing import close_ended
 from coordinator.watch.recording.entries import VANISHED, Entry
 from coordinator.watch.recording.folder import begin_writing

@@ -23,7 +23,7 @@ from coordinator.show.web import app, readers, server
 from coordinator.show.web.moment import Moments
 from coordinator.show.web.server import Place, choose_place
 from coordinator.watch import http_front
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import InvalidInputError
 from tests.support.served import live, played, serving, wait_for
 from tests.support.shown_states import a_state

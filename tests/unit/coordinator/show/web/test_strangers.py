@@ -16,12 +16,13 @@ from coordinator.show.web import sources
 from coordinator.show.web.moment import Events, Moments, encode_json, find_links
 from coordinator.show.web.sources import LiveSource
 from coordinator.watch.observe import attachment as session
-from coordinator.watch.observe import watch, watched_keys
+from coordinator.watch.observe import watched_keys
+from coordinator.watch.observe import watcher as watch
 from coordinator.watch.observe.run_address import RunAddress
 from coordinator.watch.observe.updates import Updates
 from coordinator.watch.observe.view_text import format_view
-from coordinator.watch.observe.watch import MOST_AREAS, Watcher
 from coordinator.watch.observe.watched_keys import NAMED_BY_NEIGHBOUR
+from coordinator.watch.observe.watcher import MOST_AREAS, Watcher
 from tests.support.repeating import repeating
 from tests.support.served import wait_for
 from tests.support.shown_states import a_state, published_by

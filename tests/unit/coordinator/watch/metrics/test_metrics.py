@@ -20,10 +20,10 @@ from agents.messages.packing import Incarnation
 from coordinator.watch import http_front
 from coordinator.watch.http_front import Front
 from coordinator.watch.listen import parse_listen
-from coordinator.watch.metrics import page as page_module
+from coordinator.watch.metrics import metrics_page as page_module
 from coordinator.watch.metrics.collect import LOOKED_LATELY_S, RunCollector, Sight
-from coordinator.watch.metrics.page import MetricsPage
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.metrics.metrics_page import MetricsPage
+from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import InvalidInputError
 from tests.support.shown_states import a_state
 

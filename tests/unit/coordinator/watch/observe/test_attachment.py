@@ -1,7 +1,7 @@
 """Waiting for what a watcher receives."""
 
 from coordinator.watch.observe.attachment import wait_until_whole
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 
 
 def test_who_has_no_time_to_wait_gets_what_is_known() -> None:

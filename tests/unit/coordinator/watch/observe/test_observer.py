@@ -14,7 +14,7 @@ from agents.peers.freshness import PATIENCE_HEARTBEATS
 from coordinator.watch.observe.observer import Observer, Standing
 from coordinator.watch.observe.progress import describe_progress
 from coordinator.watch.observe.view import OVER_S
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 from scenarios.scenario import load_scenario
 from tests.support.shown_states import published_by
 

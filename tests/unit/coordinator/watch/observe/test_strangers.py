@@ -17,10 +17,10 @@ from agents.runtime import presence
 from agents.runtime.link_faults import LOST
 from agents.runtime.presence import MAX_INCARNATIONS, Presence
 from coordinator.lab.process_run.run_status import listen
-from coordinator.watch.observe import watch
+from coordinator.watch.observe import watcher as watch
 from coordinator.watch.observe.state_log import StateLog
 from coordinator.watch.observe.updates import Updates
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 from scenarios.scenario import load_scenario
 from tests.support.shown_states import a_state, published_by
 

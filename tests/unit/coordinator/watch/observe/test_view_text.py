@@ -14,7 +14,7 @@ from coordinator.watch.observe.grid_tables import GridTables, list_buses, list_m
 from coordinator.watch.observe.table_text import write_table
 from coordinator.watch.observe.view_json import describe_tables, describe_view
 from coordinator.watch.observe.view_text import WIDTH, fit_view, format_view
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 from dsse_core.results.table import Table
 from dsse_core.split_identity import SplitIdentity
 from scenarios.scenario import load_scenario

@@ -20,8 +20,8 @@ from coordinator.show.web.playback.source import play_recording
 from coordinator.watch.recording import frames
 from coordinator.watch.recording.closing import close_ended
 from coordinator.watch.recording.frames import MAGIC, MARK, frame
+from coordinator.watch.recording.recorded_tables import COLUMNS
 from coordinator.watch.recording.row_checks import TYPES
-from coordinator.watch.recording.rows import COLUMNS
 from coordinator.watch.replay import recorded_messages, ticks
 from coordinator.watch.replay.replay import find_hole
 from coordinator.watch.replay.ticks import Tick, read_ticks

@@ -11,7 +11,7 @@ from agents.messages.packing import Incarnation
 from coordinator.watch.observe.run_address import check_run_id
 from coordinator.watch.observe.view import OVER_S, AreaView
 from coordinator.watch.observe.view_text import format_view
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import InvalidInputError
 from tests.support.shown_states import a_state, published_by
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from coordinator.watch.observe.events import EventLog
+from coordinator.watch.observe.event_log import EventLog
 
 
 def events_in(path: Path) -> list[int]:

@@ -18,7 +18,7 @@ from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from coordinator.watch.http_front import LONGEST_REQUEST, PATIENCE_S, REQUEST_S, Front, make_room, open_listener
 from coordinator.watch.listen import name_address
 from coordinator.watch.metrics.collect import RunCollector, Sight, format_health
-from coordinator.watch.observe.watch import Watcher
+from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import InvalidInputError
 
 log = logging.getLogger(__name__)
