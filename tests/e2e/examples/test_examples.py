@@ -6,12 +6,17 @@ import csv
 import os
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 from tests.support.dsse_command import ENVIRONMENT, ROOT
 from tests.support.foreign_distribution import write_example
+from tests.support.levels import further
+
+pytestmark = pytest.mark.xdist_group("examples")  # each script once
 
 EXAMPLES = ROOT / "examples"
 LONGEST_S = 1800.0
@@ -50,12 +55,27 @@ def run_script(name: str, folder: Path) -> str:
     return run.stdout
 
 
-@pytest.mark.parametrize("name", SCRIPTS)
-def test_the_script_of_a_tutorial_runs(name: str, tmp_path: Path):
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[Path, str]]:
+    """Runs an example once: its folder, and what it printed."""
+
+    @cache
+    def run(name: str) -> tuple[Path, str]:
+        folder = tmp_path_factory.mktemp("example")
+        return folder, run_script(name, folder)
+
+    return run
+
+
+FURTHER = ("own_strategy/compare.py", "thesis.py")  # in the default set are the tests of what they call
+
+
+@pytest.mark.parametrize("name", [*(name for name in SCRIPTS if name not in FURTHER), *further(*FURTHER)])
+def test_the_script_of_a_tutorial_runs(name: str, ran: Callable[[str], tuple[Path, str]]):
     _, expected, left = SCRIPTS[name]
-    out = run_script(name, tmp_path)
+    folder, out = ran(name)
     assert [text for text in expected if text not in out] == []
-    assert [file for file in left if not (tmp_path / file).exists()] == []
+    assert [file for file in left if not (folder / file).exists()] == []
 
 
 def test_no_script_is_left_out_and_each_has_its_tutorial():
@@ -67,9 +87,9 @@ def test_no_script_is_left_out_and_each_has_its_tutorial():
     assert [name for name in scripts if f"examples/{name}" not in pages] == []
 
 
-def test_the_rows_of_the_study_are_one_per_run(tmp_path: Path):
-    run_script("study.py", tmp_path)
-    with (tmp_path / "paper" / "rows.csv").open() as file:
+def test_the_rows_of_the_study_are_one_per_run(ran: Callable[[str], tuple[Path, str]]):
+    folder, _ = ran("study.py")
+    with (folder / "paper" / "rows.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert {(row["value"], row["strategy"], row["seed"]) for row in rows} == {
         (loss, strategy, seed)

@@ -14,6 +14,7 @@ import pytest
 
 from coordinator.watch.observe.event_log import EventLog
 from tests.support.dsse_command import COMMAND, WITH_LIMITS
+from tests.support.levels import further
 from tests.support.waiting import DEADLINE_S
 
 
@@ -47,7 +48,7 @@ def test_a_run_folder_without_room_for_the_area_files_is_rejected(tmp_path: Path
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("room", [0, 300])
+@pytest.mark.parametrize("room", [0, *further(300)])
 def test_a_router_without_room_for_its_first_words_is_no_traceback(tmp_path: Path, room: int):
     done = run_limited(tmp_path, resource.RLIMIT_FSIZE, room, "ieee33", "--out", "out")
     assert done.returncode == 2
@@ -75,7 +76,7 @@ def small_disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
         subprocess.run(["umount", str(folder)], check=True)
 
 
-@pytest.mark.parametrize("kib", [4, 12])
+@pytest.mark.parametrize("kib", [4, *further(12)])
 def test_a_tiny_disk_is_one_error_and_no_traceback(small_disk: Callable[[int], Path], tmp_path: Path, kib: int):
     done = run_limited(tmp_path, resource.RLIMIT_CORE, 0, "ieee33", "--out", str(small_disk(kib) / "out"))
     assert done.returncode == 2

@@ -14,7 +14,7 @@ from benchmarks.exchange.command import QUICK, predict, summarise, write_line
 from benchmarks.exchange.watch import WatchedBus
 from benchmarks.exchange.worlds import draw_feeder, draw_row
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("exchange")]
 
 ROOT = Path(__file__).parents[3]
 EXACT = "information"
