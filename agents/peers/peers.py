@@ -19,7 +19,7 @@ from agents.messages.packing import (
     LoadMessage,
 )
 from agents.peers.clock_skew import ClockSkew
-from agents.peers.freshness import PATIENCE_HEARTBEATS
+from agents.peers.freshness import PATIENCE_HEARTBEATS, is_newer
 
 FIRST_WAIT_S = 0.05  # until a message is repeated, before the round trip of the link has been measured
 LEAST_WAIT_S = 0.005
@@ -249,8 +249,8 @@ class Peer:
         Returns whether it is kept.
         """
         last, header = self.received_load, message.header
-        is_over = now > self._load_at + self.over_s
-        is_new = last is None or header.order > last.header.order or (is_over and header.order != last.header.order)
+        silence_s = now - self._load_at
+        is_new = last is None or is_newer(header.order, last.header.order, silence_s, self.over_s)
         if last is not None and header.incarnation != last.header.incarnation:
             is_new |= header.incarnation == self.incarnation  # its clock may have been set back
         if is_new:
@@ -264,8 +264,7 @@ class Peer:
 
         Returns whether it is higher than the last one, or follows one not received for ``over_s``.
         """
-        is_over = now > self._exchange_at + self.over_s
-        is_new = sequence > self.received_sequence or (is_over and sequence != self.received_sequence)
+        is_new = is_newer(sequence, self.received_sequence, now - self._exchange_at, self.over_s)
         if is_new or sequence == self.received_sequence:
             self.received_sequence, self._exchange_at = sequence, now
         return is_new

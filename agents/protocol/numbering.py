@@ -139,7 +139,7 @@ class ScanReadings:
         """Notes that telemetry is received; returns whether it is newer than the last."""
         last = self._last
         patience_s = PATIENCE_HEARTBEATS * self._heartbeat_s
-        if last is not None and is_old(message.header, last.header, now - self._received_at, patience_s):
+        if last is not None and is_old(message.header.order, last.header.order, now - self._received_at, patience_s):
             return False
         is_heard = last is not None and not self.is_late(now)
         self._received_at = now

@@ -95,7 +95,7 @@ class Watcher:
         at, last = self._received.get(area, (now, state))
         if not self.has_place_for(area) or state.header.run != self.run:
             return False
-        is_outdated = is_old(state.header, last.header, now - at, self._silent_after_s(area))
+        is_outdated = is_old(state.header.order, last.header.order, now - at, self._silent_after_s(area))
         if is_outdated or not self._has_room(area, state.kind, size):
             return False
         same_incarnation = state.header.incarnation == last.header.incarnation
