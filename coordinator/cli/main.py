@@ -13,17 +13,15 @@ import click
 
 from coordinator.cli.figure_options import figure_options
 from coordinator.cli.flows import flows
-from coordinator.cli.keys import keys_commands
 from coordinator.cli.live.gateway import gateway
 from coordinator.cli.live.record import record_commands
 from coordinator.cli.live.serve import serve
 from coordinator.cli.live.watch import watch_commands
-from coordinator.cli.networks import network_commands
+from coordinator.cli.networks import network_commands, scenarios_commands
 from coordinator.cli.operator import operator_commands
 from coordinator.cli.outputs import Output, check_parquet_option, hand_over, output_options, parquet_option
-from coordinator.cli.processes import process_commands
-from coordinator.cli.shipped import scenarios_commands
-from coordinator.cli.studies import study_commands
+from coordinator.cli.processes import keys_commands, process_commands
+from coordinator.cli.studies import study_commands, thesis
 from coordinator.cli.terminal import (
     answering_once,
     changed,
@@ -40,7 +38,6 @@ from coordinator.cli.terminal import (
     strategy_option,
     timeout_option,
 )
-from coordinator.cli.thesis import thesis
 from coordinator.watch.interrupts import INTERRUPTED_CODE, decide, end_orderly_on_signals
 from dsse_core import compiling
 from dsse_core.errors import DsseError

@@ -1,4 +1,4 @@
-"""Commands about networks: ``dsse partition``, ``dsse generate`` and ``dsse import``."""
+"""Commands about networks and scenarios: ``dsse partition``, ``generate``, ``import`` and ``scenarios``."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import click
 from coordinator.cli.terminal import Number, next_run, scenario_argument, show
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LARGEST_SEED
+from dsse_core.printable import printable
 
 PICTURES = (".png", ".pdf", ".svg")
 BUSES_OF_AN_AREA = 10  # the areas of a generated feeder, unless a number is given
@@ -157,3 +158,50 @@ def _check(path: Path, source: Path) -> None:
 
 
 network_commands = (partition, generate, import_file)
+
+
+@click.group(name="scenarios", invoke_without_command=True)
+@click.pass_context
+def scenarios_commands(context: click.Context) -> None:
+    """List the shipped scenarios, show one, or copy one to change it.
+
+    \b
+    Examples:  dsse scenarios
+               dsse scenarios show ieee33
+               dsse scenarios copy ieee33 my
+    """
+    if context.invoked_subcommand is not None:
+        return
+    from scenarios.scenario import list_scenarios
+
+    listed = list_scenarios()
+    width = max(len(name) for name, _ in listed)
+    for name, description in listed:
+        show(f"{name:{width}}  {printable(description)}")
+
+
+@scenarios_commands.command(name="show", short_help="Print the file of a shipped scenario.")
+@click.argument("name")
+def show_scenario(name: str) -> None:
+    """Print the commented file of the shipped scenario NAME.
+
+    \b
+    Example:  dsse scenarios show ieee33
+    """
+    from scenarios.files.shipped_files import find_scenario
+
+    show(find_scenario(name).read_text(encoding="utf-8").rstrip("\n"))
+
+
+@scenarios_commands.command(short_help="Copy a shipped scenario with its network into a folder.")
+@click.argument("name")
+@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+def copy(name: str, folder: Path) -> None:
+    """Copy the shipped scenario NAME to DIR/NAME.toml and its network to DIR/network.toml; files there stay.
+
+    \b
+    Example:  dsse scenarios copy ieee33 my && dsse run my/ieee33.toml
+    """
+    from scenarios.files.shipped_files import copy_scenario
+
+    show(printable(next_run(copy_scenario(name, folder))))

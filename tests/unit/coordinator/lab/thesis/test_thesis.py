@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 from coordinator.cli.main import run_command
-from coordinator.lab.thesis.comparison import ComparedTable, compare_tables
+from coordinator.lab.thesis.comparison import CASES, ComparedTable, Misprint, PrintedTable, compare_tables, load_case
 from coordinator.lab.thesis.counterparts import COUNTERPARTS, What
-from coordinator.lab.thesis.printed import CASES, Misprint, PrintedTable, load_case
 
 # p.u. and degrees: of power flows the rounding of what is printed and of the generators' set-points, of estimates
 # those of the golden tests; the centralised ones of the thesis come from readings that it does not state.
