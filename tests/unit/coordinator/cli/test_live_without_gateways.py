@@ -11,7 +11,7 @@ from coordinator.cli.main import run_command
 
 LIVE = ('source = "network" ', 'source = "live" '), ("noise = true", "[run]\nscan_s = 1.0")
 TABLE = ("[run]\n", '[gateways.north]\nareas = "all"\n[run]\n')
-REMARK = "with keys nobody but plant may; for keys, add a table [gateways.NAME]"
+REMARK = "with keys no gateway but plant may; for keys, add a table [gateways.NAME]"
 
 
 @pytest.mark.parametrize(
