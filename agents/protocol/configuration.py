@@ -63,9 +63,9 @@ class Configuration:
     strategy: Annotated[str, Field(description="name of the strategy of the exchange")]
     """Strategy of the exchange."""
     endpoints: Annotated[tuple[str, ...], Field(description="where to find the bus, e.g. tcp/127.0.0.1:7447")]
-    """Where to find the bus: routers, of which one is enough, or neighbours with direct links. May be edited."""
+    """Addresses of the bus: routers, of which one is enough, or neighbours with direct links. May be edited."""
     listen: tuple[str, ...] = ()
-    """Where the agent listens, with direct links. May be edited."""
+    """Addresses at which the agent listens, with direct links. May be edited."""
     beat_s: HeartbeatSeconds = 0.2
     """Interval at which the last messages are repeated, s: `run.beat_s` of the scenario. May be edited."""
     scan_s: ScanSeconds | None = None

@@ -216,6 +216,7 @@ class NetworkFile(FileTable):
 
     name: str = Field(min_length=1, description="the name of the network")
     data_source: str = Field(min_length=1, description="where the data come from")
+    """Source of the data."""
     base_mva: Positive = Field(description="base of the per-unit system in MVA")
     bus: Buses = Field(description="one [[bus]] for each bus, or a list for each key")
     """`[[bus]]`, one for each bus."""

@@ -351,7 +351,7 @@ class RunTable(Table):
     one scan and use that deadline only.
     """
     timeout_s: Seconds = 30.0
-    """When a run without consensus ends; more than two `beat_s`. Compiling does not count."""
+    """Longest duration of a run without consensus; more than two `beat_s`. Compiling does not count."""
 
     @model_validator(mode="after")
     def _has_time_for_a_few_heartbeats(self) -> Self:
@@ -410,7 +410,7 @@ class ScenarioFile(FileTable):
     name: str | None = Field(
         default=None, min_length=1, max_length=LONGEST_NAME, description="name of the runs of the scenario"
     )
-    """What runs are called, at most 64 letters; the file's name if left out. Systems that share a router or a
+    """Name of runs, at most 64 letters; the file's name if left out. Systems that share a router or a
     network of keys need different names.
     """
     description: str = Field(min_length=1, description="purpose of the scenario, in one line")
@@ -423,7 +423,7 @@ class ScenarioFile(FileTable):
     `/`) relative to this file.
     """
     strategy: str = "information"
-    """How areas reach consensus: `"information"`, `"angle-offset"`, `"admm"`, or an [installed
+    """Way to consensus: `"information"`, `"angle-offset"`, `"admm"`, or an [installed
     one](../tutorials/own-strategy.md).
     """
     areas: Areas = Field(
@@ -433,7 +433,7 @@ class ScenarioFile(FileTable):
     measurements: MeasurementsTable = MeasurementsTable()
     """Meters and their accuracy."""
     telemetry: TelemetryTable = TelemetryTable()
-    """How readings are made, and what numbers scans."""
+    """Source of readings, and of scan numbers."""
     gateways: dict[Name, GatewayTable] = Field(default_factory=dict)
     """`[gateways.NAME]`: sources of readings in the field."""
     load_messages: GenerationTable = GenerationTable()
@@ -441,11 +441,11 @@ class ScenarioFile(FileTable):
     admm: AdmmTable = AdmmTable()
     """Strategy `admm` only."""
     faults: FaultsTable = FaultsTable()
-    """What goes wrong."""
+    """Injected faults."""
     quality: QualityTable = QualityTable()
     """Limits of a state that is `good`."""
     tolerances: TolerancesTable = TolerancesTable()
-    """When areas agree, and when an estimator stops."""
+    """Limits of agreement, and of an estimator's last step."""
     run: RunTable = RunTable()
     """Timing."""
     transport: TransportTable = TransportTable()
