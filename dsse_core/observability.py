@@ -2,8 +2,8 @@
 
 Numerical rank decides, never counting: null vectors of the Jacobian at the no-load state (weights, loading, charging
 and shunts play no part) are found by block inverse iteration on one sparse factorisation. Current magnitudes do not
-count: their derivative does not exist without load. A fit to random readings on another factorisation shows which
-meters cannot be spared.
+count: their derivative does not exist without load. A fit to random readings on the same factorisation shows which
+meters cannot be spared. The centre and the areas decide both alike (``NoLoadFit``).
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
 from dsse_core.errors import InvalidInputError, NotObservableError
 from dsse_core.grid.admittance import build_admittance, flat_start
@@ -22,11 +21,12 @@ from dsse_core.grid.measurement_model import MeasurementModel, build_measurement
 from dsse_core.grid.meter_table import KINDS, each_fits, number_kinds, number_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.radial_order import order_tableau
-from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern, reciprocal_row_lengths, scale_rows
+from dsse_core.matrices.augmented import AugmentedPattern, reciprocal_row_lengths, scale_rows
 
-# Of the Jacobian with rows scaled to length 1. A feeder of 5,000 buses in a row with injection meters alone
-# has 1e-7, an impedance of 1e-5 p.u. among ordinary ones takes another 1e-3, round-off is 1e-15.
-NULL_SINGULAR_VALUE = 1e-11
+# Singular value of rows of length 1, and residual of readings of size 1, below which they are none. A feeder of 5,000
+# buses in a row with injection meters alone has a singular value of 1e-7, and an impedance of 1e-5 p.u. among ordinary
+# ones takes another 1e-3. A voltmeter that only the sum of these injections checks keeps a residual of 1e-6.
+ROUND_OFF = 1e-11
 TABLEAU_SCALE = 1e-8  # singular values are distinguished down to sqrt(TABLEAU_SCALE * 1e-16)
 # A shift keeps the factorisation from being exactly singular; where rounding swallows it, the next one is tried. The
 # largest still distinguishes singular values of sqrt(TABLEAU_SCALE * 1e-14) = 1e-11.
@@ -34,9 +34,6 @@ SHIFTS = (1e-20, 1e-18, 1e-16, 1e-14)
 WIDTH = 4  # null vectors sought: one meter cures at most 2, and 4 random ones touch every undetermined variable
 TOUCHED = 1e-6  # entry of a null vector from which on a variable counts as undetermined
 MAX_CURES = 4
-# Residual of random readings of size 1. A voltmeter that only the sum of 5,000 injections checks keeps 1e-6,
-# an indispensable meter 1e-14.
-NO_RESIDUAL = 1e-10
 
 _CURRENT = KINDS.index(MeasurementKind.CURRENT)
 _QUANTITY = {
@@ -57,14 +54,30 @@ def check_observable(network: Network, meters: Sequence[Meter], *, reference: in
         NotObservableError: naming every unobservable bus and, where one exists, a single added meter
             (of voltage, or of power, which reads P and Q) that would cure it.
     """
+    find_indispensable_rows(network, meters, reference=reference)
+
+
+def find_indispensable_rows(network: Network, meters: Sequence[Meter], *, reference: int | None = None) -> np.ndarray:
+    """True for each meter, virtual ones included, without which ``meters`` do not determine the state, (n_meas,).
+
+    The network has no load and current magnitudes do not count: losses and currents may check such a meter a little,
+    but could not replace it. Raises as ``check_observable``.
+    """
     if not _all_fit(network, meters) and (problems := list(find_meter_problems(network, meters))):
         raise InvalidInputError(f"meters of network {network.name!r}", problems)
     reference = find_reference(network, reference)
-    null = find_null_vectors(network, meters, reference)
-    if null.shape[1] == 0:
-        return
-    n = len(network.buses)
-    undetermined = np.linalg.norm(null, axis=1) > TOUCHED
+    model, n = _no_load_model(network, meters), len(network.buses)
+    free = np.delete(np.arange(2 * n), network.row[reference])
+    order = order_tableau(network, reference, model, free)
+    fit = NoLoadFit(_scaled_jacobian(network, model, reference)[:, free], None if order.fills_in else order.rows)
+    unseen = fit.find_null_vectors()
+    if unseen.shape[1] == 0:
+        found: np.ndarray = number_kinds(meters) != _CURRENT
+        found[found] = fit.find_unchecked()
+        return found
+    null = np.zeros((2 * n, unseen.shape[1]))
+    null[free] = unseen
+    undetermined = find_touched(null)
     buses = [bus.id for row, bus in enumerate(network.buses) if undetermined[row] or undetermined[n + row]]
     present = {meter.id for meter in meters}
     raise NotObservableError(buses, _find_cures(network, buses, present, null, reference))
@@ -90,69 +103,64 @@ def find_reference(network: Network, reference: int | None) -> int:
     return reference
 
 
-def find_indispensable(network: Network, meters: Sequence[Meter], reference: int) -> set[str]:
-    """Ids of the meters of ``find_indispensable_rows``."""
-    return {meters[row].id for row in np.flatnonzero(find_indispensable_rows(network, meters, reference)).tolist()}
+class NoLoadFit:
+    """Fit of random readings at no load, by one factor: the changes that no row sees, and the rows that none checks.
 
+    The centre asks it about the meters of the grid, an area about its own and the information of its neighbours.
 
-def find_indispensable_rows(network: Network, meters: Sequence[Meter], reference: int) -> np.ndarray:
-    """True for each meter, virtual ones included, without which ``meters`` do not determine the state, (n_meas,).
+    ``A`` (n_rows, n_free): rows of meters at no load, of length 1 at most. ``order``: order of elimination of the
+    tableau, see ``AugmentedPattern``.
 
-    The network has no load and current magnitudes do not count, as in ``check_observable``: losses and currents may
-    check such a meter a little, but could not replace it. In a fit to random readings an indispensable meter has no
-    residual. ``meters`` must determine the state.
+    Raises:
+        InvalidInputError: no factor is found.
     """
-    n = len(network.buses)
-    free = np.delete(np.arange(2 * n), network.row[reference])
-    model = _no_load_model(network, meters)
-    A = _scaled_jacobian(network, model, reference)[:, free]
-    order = order_tableau(network, reference, model, free)
-    pattern = AugmentedPattern(A, order.rows, fills_in=order.fills_in, blocks=order.blocks)
-    count = A.shape[0]
-    readings = np.random.default_rng(0).standard_normal((count, WIDTH))
-    residual, _ = AugmentedFactor(A, np.ones(count), pattern=pattern).solve(readings, np.zeros((len(free), WIDTH)))
-    found: np.ndarray = number_kinds(meters) != _CURRENT
-    found[found] = abs(residual).max(axis=1) < NO_RESIDUAL
-    return found
+
+    def __init__(self, A: sp.csr_array, order: np.ndarray | None = None) -> None:
+        self._A, self._pattern = A, AugmentedPattern(A, order)
+        n_rows, n_free = A.shape
+        for shift in SHIFTS:
+            above, below = np.full(n_rows, TABLEAU_SCALE), np.full(n_free, -shift)
+            try:
+                self._factor = self._pattern.factor_by_superlu(self._pattern.fill(above, A.data, below), exact=True)
+                return
+            except RuntimeError:  # exactly singular
+                continue
+        problem = (
+            "the Jacobian at no load is singular beyond what unobservable buses explain; look for absurd impedances"
+        )
+        raise InvalidInputError("observability analysis", [problem])
+
+    def find_null_vectors(self) -> np.ndarray:
+        """Changes that no row sees: orthonormal columns, shape (n_free, k).
+
+        They are complete if k < WIDTH. With k = WIDTH there may be more changes, of which these are a random choice.
+        """
+        n_rows, n_free = self._A.shape
+        width = min(WIDTH, n_free)
+        X = np.random.default_rng(0).standard_normal((n_free, width))
+        for _ in range(2):  # each pass multiplies the changes that no row sees by 1e6 and more
+            X = np.linalg.qr(self._solve(np.zeros((n_rows, width)), X)[1])[0]
+        at_least_square = np.vstack([self._A @ X, np.zeros((width, width))])
+        _, singular, right = np.linalg.svd(at_least_square, full_matrices=False)
+        return np.asarray(X @ right.T[:, singular < ROUND_OFF])
+
+    def find_unchecked(self) -> np.ndarray:
+        """True for each row that no other row checks, (n_rows,): its random readings leave no residual."""
+        n_rows, n_free = self._A.shape
+        readings = np.random.default_rng(0).standard_normal((n_rows, WIDTH))
+        residual = TABLEAU_SCALE * self._solve(readings, np.zeros((n_free, WIDTH)))[0]
+        return np.asarray(abs(residual).max(axis=1, initial=0.0) < ROUND_OFF)
+
+    def _solve(self, above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """s and dx of ``TABLEAU_SCALE s + A dx = above``, ``A's - shift dx = below``."""
+        solved = self._factor.solve(self._pattern.permute(np.vstack([above, below])))
+        s, dx = np.split(self._pattern.permute_back(solved), [len(above)])
+        return s, dx
 
 
-def find_null_vectors(network: Network, meters: Sequence[Meter], reference: int) -> np.ndarray:
-    """State changes [va; vm] that no meter sees: orthonormal columns, shape (2 n_bus, k).
-
-    They are complete if k < WIDTH. With k = WIDTH there may be more state changes, of which these are a random choice.
-    """
-    n = len(network.buses)
-    free = np.delete(np.arange(2 * n), network.row[reference])
-    model = _no_load_model(network, meters)
-    A = _scaled_jacobian(network, model, reference)[:, free]
-    n_meas, n_free = A.shape
-    order = order_tableau(network, reference, model, free)
-    pattern = AugmentedPattern(A, None if order.fills_in else order.rows)
-    factor = _factor_shifted(A, pattern)
-    width = min(WIDTH, n_free)
-    X = np.random.default_rng(0).standard_normal((n_free, width))
-    for _ in range(3):  # each pass multiplies the state changes that no meter sees by 1e6 and more
-        right = pattern.permute(np.vstack([np.zeros((n_meas, width)), X]))
-        X = np.linalg.qr(pattern.permute_back(factor.solve(right))[n_meas:])[0]
-    at_least_square = np.vstack([A @ X, np.zeros((width, width))])
-    _, singular, right = np.linalg.svd(at_least_square, full_matrices=False)
-    unseen = X @ right.T[:, singular < NULL_SINGULAR_VALUE]
-    null = np.zeros((2 * n, unseen.shape[1]))
-    null[free] = unseen
-    return null
-
-
-def _factor_shifted(A: sp.csr_array, pattern: AugmentedPattern) -> spla.SuperLU:
-    n_meas, n_free = A.shape
-    for shift in SHIFTS:
-        try:
-            return pattern.factor_by_superlu(
-                pattern.fill(np.full(n_meas, TABLEAU_SCALE), A.data, np.full(n_free, -shift)), exact=True
-            )
-        except RuntimeError:  # exactly singular
-            continue
-    problem = "the Jacobian at no load is singular beyond what unobservable buses explain; look for absurd impedances"
-    raise InvalidInputError("observability analysis", [problem])
+def find_touched(null: np.ndarray) -> np.ndarray:
+    """True for each variable that one of the null vectors changes, (n,), from ``null`` (n, k)."""
+    return np.asarray(np.linalg.norm(null, axis=1) > TOUCHED)
 
 
 def _no_load_model(network: Network, meters: Sequence[Meter]) -> MeasurementModel:

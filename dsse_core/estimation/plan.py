@@ -15,7 +15,7 @@ from dsse_core.grid.columns import Records, take_items
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.meter_table import find_virtual
 from dsse_core.grid.network import Network
-from dsse_core.observability import check_observable, find_indispensable_rows, find_reference
+from dsse_core.observability import find_indispensable_rows, find_reference
 from dsse_core.radial.plan import RadialPlan, build_radial_plan, drop_meters
 
 Backend = Literal["radial", "sparse"]
@@ -58,7 +58,7 @@ class EstimationPlan:
     def indispensable(self) -> np.ndarray:
         """True for meters without which the state is undetermined, shape (n_meas,); see ``find_indispensable_rows``."""
         if isinstance(self.radial, str):
-            return find_indispensable_rows(self.network, self.meters, self.reference)
+            return find_indispensable_rows(self.network, self.meters, reference=self.reference)
         from dsse_core.radial.redundancy import find_radial_indispensable  # numba, loaded when the plan was built
 
         return find_radial_indispensable(self.radial)
@@ -71,9 +71,7 @@ class EstimationPlan:
         """
         radial = self.radial if isinstance(self.radial, str) else drop_meters(self.radial, rows)
         meters = take_items(self.meters, np.delete(np.arange(len(self.meters)), rows))
-        if isinstance(self.radial, str):
-            check_observable(self.network, meters, reference=self.reference)
-        return EstimationPlan(self.network, meters, self.reference, radial)
+        return _make_plan(self.network, meters, self.reference, radial)
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -111,12 +109,18 @@ def build_estimation_plan(
     if not isinstance(meters, Records):
         meters = tuple(meters)
     radial = _find_radial_plan(network, meters, reference, backend)
+    if backend == "radial" and isinstance(radial, str):
+        problem = f"the radial back end cannot serve: {radial}; choose 'auto' or 'sparse'"
+        raise InvalidInputError(f"estimate of network {network.name!r}", [problem])
+    return _make_plan(network, meters, reference, radial)
+
+
+def _make_plan(network: Network, meters: Sequence[Meter], reference: int, radial: RadialPlan | str) -> EstimationPlan:
+    """The plan, checked where the back end is sparse; one factor tells what is observable and what can be spared."""
+    plan = EstimationPlan(network, meters, reference, radial)
     if isinstance(radial, str):
-        if backend == "radial":
-            problem = f"the radial back end cannot serve: {radial}; choose 'auto' or 'sparse'"
-            raise InvalidInputError(f"estimate of network {network.name!r}", [problem])
-        check_observable(network, meters, reference=reference)
-    return EstimationPlan(network, meters, reference, radial)
+        _ = plan.indispensable  # raises where the meters do not determine the state
+    return plan
 
 
 def _find_radial_plan(

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.sparse as sp
 
 from dsse_core.grid.admittance import flat_start
 from dsse_core.grid.measurement import Measurement, MeasurementKind
@@ -17,17 +18,12 @@ from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear import NoLoadSolver, make_no_load
 from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BoundaryInformation
+from dsse_core.matrices.augmented import reciprocal_root, reciprocal_row_lengths, scale_rows
+from dsse_core.observability import ROUND_OFF, NoLoadFit, find_touched
 
-# Redundancy below which a meter is indispensable. Rounding and NO_LOAD_NOT_YET leave such a meter 1e-15. A meter that
-# another one replaces only through an impedance of 3e-7 p.u. has 3e-10, a voltmeter that only the sum of 5,000
-# injections in a row checks 2e-11.
-NO_LOAD_REDUNDANCY = 1e-12
-# Entry of R for a power, in units of the own powers, or for a voltage, below which a message holds nothing:
-# NO_LOAD_NOT_YET alone gives 1e-9. A neighbour with a thousand times smaller impedances would take it for information.
-NOTHING_AT_NO_LOAD = 1e-8
-# Variance of a voltage at no load, where all sigmas are 1, above which nothing determines it. A voltage that is known
-# through the smallest impedances in a row has less, NO_LOAD_NOT_YET alone gives 1e18.
-NOTHING_KNOWN = 1e12
+# Entry of R for a power, in units of the own powers, or for a voltage, below which a message holds nothing.
+# NO_LOAD_NOT_YET alone gives 1e-9, rounding 1e-7. A voltage known through the smallest impedances in a row has more.
+NOTHING_AT_NO_LOAD = 1e-6
 
 
 def find_objective(model: AreaModel, x: np.ndarray) -> float:
@@ -79,13 +75,34 @@ class NoLoadModel:
         Neither the area's meters nor the information of neighbours determines the voltage of an unobservable bus.
         Without any one of the indispensable meters the state is not observable.
         """
-        rng = np.random.default_rng(0)
-        beyond = self._at_own_voltage(received)
-        variance, redundancy = self.linear.sample(self.x, beyond, rng, NO_LOAD_REDUNDANCY)
+        fit = self._fit(self._at_own_voltage(received))
+        undetermined = np.zeros(self.model.size, dtype=bool)
+        undetermined[self.model.free] = find_touched(fit.find_null_vectors())
         buses = self.model.area.network.buses
-        is_known = np.maximum(variance[: len(buses)], variance[len(buses) : 2 * len(buses)]) < NOTHING_KNOWN
-        unobservable = tuple(buses[k].id for k in np.flatnonzero(~is_known).tolist())
-        return unobservable, frozenset(self.ids[k] for k in np.flatnonzero(redundancy < NO_LOAD_REDUNDANCY))
+        of_buses = undetermined[: 2 * len(buses)].reshape(2, -1).any(axis=0)
+        unchecked = fit.find_unchecked()[: len(self.ids)]
+        return (
+            tuple(buses[k].id for k in np.flatnonzero(of_buses).tolist()),
+            frozenset(self.ids[k] for k in np.flatnonzero(unchecked).tolist()),
+        )
+
+    def _fit(self, received: Mapping[str, BoundaryInformation]) -> NoLoadFit:
+        """Fit of the own rows, of length 1, and of the rows ``received``, where NOTHING_AT_NO_LOAD counts as ROUND_OFF.
+
+        A power is in units of its largest part in a row, so that it moves by no more than the voltages on which it
+        depends.
+        """
+        model = self.model
+        of_power = np.arange(model.size) >= 2 * len(model.area.network.buses)
+        H = self.linear.stack(self.x, received)[0]
+        H = sp.csr_array(H @ sp.diags_array(np.where(of_power, self.typical, 1.0)))
+        to_one = reciprocal_row_lengths(H)
+        A = scale_rows(H, to_one)
+        unit = reciprocal_root(np.bincount(A.indices, A.data**2, A.shape[1]))
+        A = sp.csr_array(A @ sp.diags_array(np.where(of_power, unit, 1.0)))
+        weight = ROUND_OFF / NOTHING_AT_NO_LOAD / np.maximum(to_one, 1.0)
+        weight[: len(self.ids)] = 1.0
+        return NoLoadFit(scale_rows(A, weight)[:, model.free])
 
     def _at_own_voltage(self, received: Mapping[str, BoundaryInformation]) -> dict[str, BoundaryInformation]:
         """The neighbours' information about relative numbers, as information about y."""

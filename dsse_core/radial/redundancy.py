@@ -1,11 +1,11 @@
-"""Indispensable meters of a tree, found by fitting random readings at no load; see ``find_indispensable``."""
+"""Indispensable meters of a tree, found by fitting random readings at no load; see ``observability.NoLoadFit``."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from dsse_core.code_cache import compiled
-from dsse_core.observability import NO_RESIDUAL, WIDTH
+from dsse_core.observability import ROUND_OFF, WIDTH
 from dsse_core.radial import kernel as radial_kernel
 from dsse_core.radial.iteration import branch_powers, predict
 from dsse_core.radial.kernel import coefficients_of, row_of_branch
@@ -36,7 +36,7 @@ def find_radial_indispensable(plan: RadialPlan) -> np.ndarray:
         residual = _fit_residuals(*at, work.factor, work.more, work.step)
         largest = np.maximum(largest, abs(residual.ravel()[slot]) / own_length)
     of_current = np.isin(slot % N_SLOT, (6, 9))
-    indispensable: np.ndarray = (largest < NO_RESIDUAL) & ~of_current
+    indispensable: np.ndarray = (largest < ROUND_OFF) & ~of_current
     return indispensable
 
 

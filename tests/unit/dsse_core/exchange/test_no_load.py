@@ -1,0 +1,74 @@
+"""Areas decide at no load as the centre does for the whole grid: what is observable, and which meters are critical."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dsse_core.errors import NotObservableError
+from dsse_core.exchange.feeder_bad_data import build_no_load_model
+from dsse_core.linear.boundary_information import BoundaryInformation
+from dsse_core.observability import find_indispensable_rows
+from tests.support.grids import MeterShares, make_grid
+from tests.support.rings import make_ring_feeder
+
+SCARCE = (  # one meter in thirty to spare; a few more; branches metered and most buses not
+    MeterShares(flow=0.0, voltage=0.0),
+    MeterShares(flow=0.1, voltage=0.05),
+    MeterShares(flow=1.0, voltage=0.05, injection=0.3, boundary_injection=0.3),
+)
+
+
+def decide_centrally(feeder):
+    """Unobservable buses, and indispensable meters."""
+    meters = [m.meter for m in feeder.measurements]
+    try:
+        rows = find_indispensable_rows(feeder.network, meters)
+    except NotObservableError as error:
+        return set(error.buses), set()
+    return set(), {meters[k].id for k in np.flatnonzero(rows)}
+
+
+def decide_by_areas(feeder):
+    """The same, found by the areas, and added up."""
+    telemetry, partition = feeder.telemetry(), feeder.partition
+    sides = {
+        area.name: build_no_load_model(area, telemetry[area.name], area.reference[0] if area.reference else None)
+        for area in partition.areas
+    }
+
+    def tell(sender: str, receiver: str) -> BoundaryInformation:
+        neighbours = {n.area: n for n in partition.area(sender).neighbours}
+        received = {name: tell(name, sender) for name in neighbours if name != receiver}
+        return sides[sender].information_for(neighbours[receiver], received)
+
+    unobservable, indispensable = set(), set()
+    for area in partition.areas:
+        buses, meters = sides[area.name].examine({n.area: tell(n.area, area.name) for n in area.neighbours})
+        unobservable |= set(buses) - set(area.not_owned)
+        indispensable |= meters
+    return unobservable, set() if unobservable else indispensable
+
+
+def without_some(feeder, share, seed):
+    kept = np.random.default_rng(seed).random(len(feeder.measurements)) >= share
+    return replace(feeder, measurements=tuple(m for m, k in zip(feeder.measurements, kept, strict=True) if k))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("shares", SCARCE)
+@pytest.mark.parametrize("short", [None, 1e-4, 1e-6])
+@pytest.mark.parametrize("seed", range(4))
+def test_areas_find_what_the_centre_finds(seed, short, shares):
+    grid = make_grid(seed, 30, 1 + seed, 0.6, 1.0, seed % 3, 0.15, short, True, shares)
+    assert decide_by_areas(grid) == decide_centrally(grid)
+    gap = without_some(grid, 0.1, seed)
+    assert decide_by_areas(gap) == decide_centrally(gap)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_areas_that_meet_at_several_buses_find_it_too(seed):
+    feeder = make_ring_feeder(seed, 3, 1 + seed % 3)
+    for share in (0.0, 0.2):
+        some = without_some(feeder, share, seed)
+        assert decide_by_areas(some) == decide_centrally(some)
