@@ -57,7 +57,7 @@ def split(
     from coordinator.lab.deployment.split import write_area_files
     from coordinator.lab.evaluation.evaluation import choose_scenario
     from coordinator.lab.strategy_check import check_with_strategy
-    from coordinator.watch.observe.run_address import choose_run_id
+    from coordinator.watch.observe.run_id import choose_run_id
     from scenarios.files.whole_folder import written_whole
 
     prepared = check_with_strategy(choose_scenario(scenario, seed))
@@ -129,7 +129,7 @@ def router(
 def _access_of(scenario: str, run_id: str | None) -> Access:
     """Processes and rights of a run of ``scenario``."""
     from coordinator.lab.deployment.run_access import access_without_keys
-    from coordinator.watch.observe.run_address import choose_run_id
+    from coordinator.watch.observe.run_id import choose_run_id
     from scenarios.scenario import load_scenario
 
     loaded = load_scenario(scenario)
@@ -170,7 +170,7 @@ def plant(
     from coordinator.lab.plant.plant import run_plant
     from coordinator.lab.plant.scans import OwnScans
     from coordinator.lab.strategy_check import check_with_strategy
-    from coordinator.watch.observe.run_address import choose_run_id
+    from coordinator.watch.observe.run_id import choose_run_id
 
     prepared = check_with_strategy(choose_scenario(scenario, seed))
     every = every or prepared.run.scan_s or prepared.renew_s
@@ -248,7 +248,7 @@ def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id
     """
     from coordinator.lab.deployment.certificates import create_keys
     from coordinator.lab.deployment.run_access import access_of
-    from coordinator.watch.observe.run_address import choose_run_id
+    from coordinator.watch.observe.run_id import choose_run_id
     from scenarios.reading_rules import find_gateway_remark
     from scenarios.scenario import load_scenario
 

@@ -42,7 +42,7 @@ from coordinator.lab.strategy_check import plan_with_strategy
 from coordinator.watch.observe.event_log import EventLog
 from coordinator.watch.observe.observer import Observer
 from coordinator.watch.observe.progress import UPDATE_S, Progress, describe_progress
-from coordinator.watch.observe.run_address import default_run_id
+from coordinator.watch.observe.run_id import default_run_id
 from coordinator.watch.run_folder import EVENTS, PARTS, RECORDING, make_run_folder
 from dsse_core.estimation.plan import FEWEST_BUSES_OF_RADIAL
 from dsse_core.linear import needs_compiled_code

@@ -27,7 +27,7 @@ from coordinator.lab.simulator.subscriber import Subscriber
 from coordinator.lab.strategy_check import check_with_strategy
 from coordinator.watch.observe.event_log import EventLog
 from coordinator.watch.observe.progress import UPDATE_S, Progress, describe_progress
-from coordinator.watch.observe.run_address import default_run_id
+from coordinator.watch.observe.run_id import default_run_id
 from coordinator.watch.observe.state_log import StateLog
 from coordinator.watch.run_folder import RECORDING, make_run_folder
 from scenarios.faults.faults import LinkChanges

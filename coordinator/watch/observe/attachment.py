@@ -26,7 +26,8 @@ from agents.security.access import COORDINATOR, WATCHER
 from agents.security.credential_files import credentials_in
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session, TransportError
-from coordinator.watch.observe.run_address import RunAddress, check_run_id
+from coordinator.watch.observe.run_address import RunAddress
+from coordinator.watch.observe.run_id import check_run_id
 from coordinator.watch.observe.updates import Updates
 from coordinator.watch.observe.view import OVER_S
 from coordinator.watch.observe.watched_keys import (

@@ -12,7 +12,7 @@ from coordinator.field.gateway.interface import Sink, Source
 from coordinator.field.gateway.maps.installed import load_sink, load_source
 from coordinator.field.gateway.maps.map_tables import MapFile, ReadingTable
 from coordinator.field.gateway.maps.points import Point, find_point_problems, make_point
-from coordinator.watch.observe.run_address import check_run_id, default_run_id
+from coordinator.watch.observe.run_id import check_run_id, default_run_id
 from dsse_core.endpoints import find_problems_in
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.strict_table import Table, fit_partly, load_partly

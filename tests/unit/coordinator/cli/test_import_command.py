@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.watch.observe.run_address import default_run_id
+from coordinator.watch.observe.run_id import default_run_id
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from scenarios.files.network_file import load_case
 from scenarios.files.readings.file import save_readings

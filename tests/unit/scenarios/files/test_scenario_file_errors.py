@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.watch.observe.run_address import default_run_id
+from coordinator.watch.observe.run_id import default_run_id
 from dsse_core.errors import InvalidInputError
 from scenarios.files.shipped_files import find_shipped
 from scenarios.scenario import load_scenario

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coordinator.watch.observe.run_address import default_run_id
+from coordinator.watch.observe.run_id import default_run_id
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.estimator import estimate_state
 from dsse_core.grid.measurement import MeasurementKind, Meter, Source

@@ -26,7 +26,7 @@ from coordinator.lab.deployment.split import area_files, write_area_files
 from coordinator.lab.plant.plant import BURST, NoAreaWarning, PlantLoop, run_plant
 from coordinator.lab.plant.scans import MadeScan, OwnScans
 from coordinator.lab.plant.telemetry_messages import make_payloads
-from coordinator.watch.observe.run_address import choose_run_id, default_run_id
+from coordinator.watch.observe.run_id import choose_run_id, default_run_id
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.grid.measurement import Source
 from dsse_core.limits import LONGEST_S

@@ -8,7 +8,7 @@ import pytest
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
-from coordinator.watch.observe.run_address import check_run_id
+from coordinator.watch.observe.run_id import check_run_id
 from coordinator.watch.observe.view import OVER_S, AreaView
 from coordinator.watch.observe.view_text import format_view
 from coordinator.watch.observe.watcher import Watcher
