@@ -37,7 +37,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Properties without a number of examples of their own are those that the documentation gives a number for."""
     settings.register_profile(
         "documented",
-        max_examples=300 if config.getoption("--thorough") else 12,
+        max_examples=300 if config.getoption("--thorough") else 8,
         deadline=None,
         phases=[Phase.explicit, Phase.generate],  # examples are grids of given sizes: shrinking them takes an hour
         derandomize=True,

@@ -162,7 +162,7 @@ def test_a_run_in_a_terminal_ends_with_its_verdict_whatever_strangers_say(deaf_s
     assert_harmless(output)
 
 
-@pytest.mark.parametrize("command", ["run", *further("simulate", "check")])
+@pytest.mark.parametrize("command", ["check", *further("run", "simulate")])
 def test_the_name_of_a_file_is_text_in_tables_and_pictures(command: str, tmp_path: Path):
     (tmp_path / "[").mkdir()  # as far as the slash the name is that of a folder
     name = "[/nope]$\\frac$\x1b]0;owned\x07.toml"

@@ -29,7 +29,7 @@ CAUGHT_BY_HISTORIES = (
 MOST_HISTORIES = 60
 
 
-@pytest.mark.n_cases(few=50, long=200, many=20_000)
+@pytest.mark.n_cases(few=30, long=200, many=20_000)
 @pytest.mark.parametrize("tree", TREES)
 def test_in_every_schedule_within_bounds_all_come_to_the_same_end(tree: str, n_cases: int):
     """Two messages lost or delayed; or a crash, a cut, two revisions at once, a scan at any moment, and one message."""

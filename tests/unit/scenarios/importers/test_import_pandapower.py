@@ -19,6 +19,7 @@ from dsse_core.results.state import find_state, read_state
 from scenarios.importers import Imported, import_grid
 from scenarios.importers.imported_files import write_imported
 from scenarios.scenario import load_scenario
+from tests.support.levels import further
 
 pp: Any = pytest.importorskip("pandapower")
 networks: Any = pytest.importorskip("pandapower.networks")
@@ -73,7 +74,10 @@ def small_grid() -> Any:
     return net
 
 
-@pytest.mark.parametrize("name", BUNDLED)
+FEW = ("case9, generators", "case118, taps and shunts", "CIGRE LV, closed switches", "open ring")
+
+
+@pytest.mark.parametrize("name", [*FEW, *further(*(name for name in BUNDLED if name not in FEW))])
 def test_the_power_flow_of_bundled_networks_is_pandapowers(tmp_path: Path, name: str) -> None:
     net = BUNDLED[name]()
     check_power_flow(imported(tmp_path, net), net)

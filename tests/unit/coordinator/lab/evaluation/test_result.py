@@ -217,8 +217,12 @@ def a_result_with_relative_angles_only(folder: Path) -> RunResult:
     ("make_result", "words", "times"),
     [
         (a_result_without_states, "no area has published a state", 2),
-        (a_result_without_centralised_estimate, "there is no centralised estimate", 2),
-        (a_result_with_relative_angles_only, "no area's angles count from the substation", 1),
+        pytest.param(
+            a_result_without_centralised_estimate, "there is no centralised estimate", 2, marks=pytest.mark.long
+        ),
+        pytest.param(
+            a_result_with_relative_angles_only, "no area's angles count from the substation", 1, marks=pytest.mark.long
+        ),
     ],
 )
 def test_where_no_gap_is_known_the_picture_says_why(

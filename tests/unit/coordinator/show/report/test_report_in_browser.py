@@ -14,6 +14,7 @@ import pytest
 from coordinator.show.report.run_files import write_report
 from scenarios.generate.generated_files import write_generated
 from scenarios.scenario import load_scenario
+from tests.support.levels import further
 from tests.support.made_results import make_result
 from tests.support.read_page import read_page
 
@@ -69,7 +70,7 @@ def test_what_a_page_asks_for_and_complains_of_is_seen(tmp_path: Path) -> None:
     assert any("alas" in line for line in opened.console)
 
 
-@pytest.mark.parametrize("n_bus", [33, 1000])
+@pytest.mark.parametrize("n_bus", [33, *further(1000)])
 def test_a_report_opens_without_error_and_without_a_request(n_bus: int, tmp_path: Path) -> None:
     name: str | Path = "ieee33"
     if n_bus > 33:

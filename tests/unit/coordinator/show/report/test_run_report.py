@@ -23,6 +23,7 @@ from coordinator.show.report.run_report import make_run_page
 from coordinator.show.report.settings import write_command
 from dsse_core.printable import printable
 from scenarios.scenario import load_scenario
+from tests.support.levels import further
 from tests.support.made_results import make_result
 from tests.support.read_page import ReadPage, read_page
 
@@ -109,7 +110,9 @@ def test_a_report_can_be_read_with_the_keyboard_and_aloud(page: ReadPage) -> Non
     assert all(after - before <= 1 for before, after in itertools.pairwise(levels))
 
 
-@pytest.mark.parametrize("name", [HOSTILE, "a\x1b[2Jb", "turned \u202e round", "\udcff", "$\\frac$", "{{ 7 * 7 }}"])
+@pytest.mark.parametrize(
+    "name", [HOSTILE, "\udcff", "{{ 7 * 7 }}", *further("a\x1b[2Jb", "turned \u202e round", "$\\frac$")]
+)
 def test_foreign_text_is_text_in_a_report(result: RunResult, name: str) -> None:
     scenario = result.scenario
     network = replace(
