@@ -36,6 +36,12 @@ def sentences_of(page: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_a_sentence_begins_with_its_subject(page: Path):
+    prose = [re.sub(r"^(?:- |\d+\. )", "", text) for text in sentences_of(page) if not text.startswith("#")]
+    assert [text for text in prose if re.match(r"(?:What|Whether|Who|Whoever)\b", text)] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_a_sentence_is_read_once(page: Path):
     assert [text for text in sentences_of(page) if len(text.split()) > 50 or text.count(";") > 2] == []
 
