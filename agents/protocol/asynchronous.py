@@ -239,9 +239,8 @@ class AsynchronousProtocol(AreaProtocol):
         """Returns the neighbours that are not received, in another scan or not complete, or whose newest message is not
         here.
         """
-        everybody = frozenset(self._peers)
         missed = {name for name, p in self._peers.items() if p.boundary is None or p.k != p.received_sequence}
-        return missed | self._peers.find_old(self._term, everybody, self._now, heartbeats)
+        return missed | self._peers.find_old(self._term, frozenset(self._peers), self._now, heartbeats)
 
     # The published state
 

@@ -117,12 +117,18 @@ class Watcher:
         return now - self._received[area][0] if area in self._received else math.inf
 
     def take_readings(self, readings: ReadingsMessage, size: int = 0) -> None:
-        """Keep the readings that an area has used last; ``size``: bytes of the message."""
+        """Keep the readings that an area has used last; ``size``: bytes of the message.
+
+        Readings of the incarnation whose state is kept take the place of those of another: a clock may have been set
+        back between the two.
+        """
         area, known = readings.header.sender, self._readings.get(readings.header.sender)
         is_too_much = known is None and len(self._readings) >= MAX_NAMES
         if readings.header.run != self.run or is_too_much or not self._is_known(area):
             return
         is_newer = known is None or readings.header.order >= known.header.order
+        if known is not None and readings.header.incarnation != known.header.incarnation and area in self._received:
+            is_newer = is_newer or readings.header.incarnation == self._received[area][1].header.incarnation
         if is_newer and self._has_room(area, readings.kind, size):
             self._readings[area] = readings
 

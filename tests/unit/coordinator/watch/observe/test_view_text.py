@@ -73,6 +73,13 @@ def test_an_older_reading_does_not_take_the_place_of_a_newer_one():
     assert watcher.readings["area1"].values == USED.values
 
 
+def test_readings_of_an_area_that_began_again_with_its_clock_set_back_are_shown():
+    watcher = watching(a_state(), readings=None)
+    watcher.take_readings(replace(USED, header=replace(HEADER, incarnation=Incarnation(2, 1)), values=(9.0, 9.0)))
+    watcher.take_readings(USED)
+    assert watcher.readings["area1"].values == USED.values
+
+
 def test_an_area_that_never_spoke_says_so():
     watcher = watching(a_state(sent={"area2": (1, 1)}))
     assert "is gone" in format_view(watcher.look(0.0))
