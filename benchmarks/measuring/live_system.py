@@ -161,9 +161,8 @@ class LiveSystem:
             silence = at - self.received_at.get(state.header.sender, at)
             self.received_at[state.header.sender] = at
             self._silence = max(self._silence, silence)
-            if last is None or not is_old(
-                state.header, last.header, silence, PATIENCE_HEARTBEATS * self.scenario.run.beat_s
-            ):
+            over_s = PATIENCE_HEARTBEATS * self.scenario.run.beat_s
+            if last is None or not is_old(state.header.order, last.header.order, silence, over_s):
                 self.states[state.header.sender] = state
 
     def _estimate(self, scan: int) -> tuple[np.ndarray, np.ndarray]:
