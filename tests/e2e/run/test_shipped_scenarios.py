@@ -139,9 +139,7 @@ def wrong_on_every_link(scenario: Scenario) -> list[dict[str, object]]:
     return [{"from": n.area, "to": a.name, "load": ERROR} for a in scenario.partition.areas for n in a.neighbours]
 
 
-@pytest.mark.parametrize(
-    ("case", "table"), [("industrial13", "5.12"), pytest.param("ieee33", "5.24", marks=pytest.mark.long)]
-)
+@pytest.mark.parametrize(("case", "table"), [("industrial13", "5.12"), ("ieee33", "5.24")])
 def test_under_losses_real_processes_give_the_tables_of_the_thesis(case: str, table: str, tmp_path: Path):
     """With wrong load messages in the system of section 5.2; the thesis has no such table of the 33 buses."""
     scenario = load_scenario(f"{case}-thesis")
