@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
-from agents.messages.boundary_variables import Lengths, count_triangle, find_wrong_length
+from agents.messages.boundary_arrays import Lengths, count_triangle, find_wrong_length
 from agents.messages.checks import BusId, Count, Integer, MessageError, Name, Names, Notes, Number, Numbers
 from dsse_core.estimation.decision import Totals
 from dsse_core.exchange.boundary_load import NetLoad

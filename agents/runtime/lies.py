@@ -12,6 +12,7 @@ from functools import partial
 
 import numpy as np
 
+from agents.messages.boundary_arrays import read_triangle, write_triangle
 from agents.messages.packing import (
     BoundaryUpdate,
     DownMessage,
@@ -20,7 +21,6 @@ from agents.messages.packing import (
     RoundMessage,
     UpMessage,
 )
-from agents.messages.triangle import read_triangle, write_triangle
 from dsse_core.estimation.decision import Memory, Totals, decide
 from dsse_core.grid.boundary import Boundary, boundary_at, boundary_of
 from dsse_core.link_faults import LinkFaults

@@ -18,7 +18,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from agents.messages.boundary_variables import find_wrong_length
+from agents.messages.boundary_arrays import find_wrong_length
 from agents.messages.checks import Count, Names, Numbers
 from agents.messages.packing import BoundaryUpdate
 from dsse_core.exchange.consensus_admm import RELAXATION, pull

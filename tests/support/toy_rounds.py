@@ -8,7 +8,7 @@ import itertools
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
-from agents.area_files.split_digest import stamp_split
+from agents.area_files.area_file import stamp_split
 from agents.messages.packing import (
     DownMessage,
     Header,

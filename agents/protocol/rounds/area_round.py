@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agents.messages.boundary_arrays import read_triangle
 from agents.messages.packing import DownMessage, RoundMessage, UpMessage
-from agents.messages.triangle import read_triangle
 from agents.peers.splits import Splits
 from dsse_core.estimation.decision import (
     Decision,

@@ -17,6 +17,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from agents.messages.boundary_arrays import write_triangle
 from agents.messages.packing import (
     DownMessage,
     HeartbeatMessage,
@@ -27,7 +28,6 @@ from agents.messages.packing import (
     TelemetryMessage,
     UpMessage,
 )
-from agents.messages.triangle import write_triangle
 from agents.peers.peers import Peer, Term
 from agents.peers.rejections import BEYOND, FAR_SCAN, MOST_COUNTED
 from agents.protocol.area_protocol import AreaProtocol

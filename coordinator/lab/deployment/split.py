@@ -7,8 +7,7 @@ import time as clock
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from agents.area_files.area_file import save_area_file
-from agents.area_files.split_digest import stamp_split
+from agents.area_files.area_file import save_area_file, stamp_split
 from agents.protocol.configuration import Configuration
 from dsse_core.endpoints import check_endpoints
 from dsse_core.reading_rules import DEFAULT_RULES

@@ -10,9 +10,8 @@ import contextlib
 import tempfile
 from pathlib import Path
 
-from agents.area_files.area_file import save_area_file
+from agents.area_files.area_file import save_area_file, stamp_split
 from agents.area_files.reader import load_area_file
-from agents.area_files.split_digest import stamp_split
 from agents.messages.packing import decode, encode
 from agents.protocol.configuration import Configuration
 from agents.strategies.installed import list_strategies

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from agents.area_files.split_digest import stamp_split
+from agents.area_files.area_file import stamp_split
 from agents.messages.packing import Incarnation, StateMessage
 from agents.protocol.configuration import Configuration
 from coordinator.lab.deployment.split import area_files

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from agents.area_files.area_file import save_area_file
+from agents.area_files.area_file import save_area_file, stamp_split
 from agents.area_files.reader import load_area_file
-from agents.area_files.split_digest import stamp_split
 from agents.protocol.quality import GOOD
 from agents.runtime.duplicate_guard import REPLACED_CODE
 from tests.support.system_by_hand import agreeing_system

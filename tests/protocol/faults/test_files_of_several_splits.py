@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agents.area_files.split_digest import stamp_split
+from agents.area_files.area_file import stamp_split
 from agents.messages.packing import StateMessage
 from agents.protocol.configuration import Configuration
 from agents.protocol.quality import GOOD

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agents.area_files.split_digest import stamp_split
+from agents.area_files.area_file import stamp_split
 from agents.messages.packing import encode
 from agents.protocol.events import Received
 from agents.strategies.admm_boundary import AdmmMessage

@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 
-from agents.area_files.area_file import save_area_file
+from agents.area_files.area_file import save_area_file, stamp_split
 from agents.area_files.reader import load_area_file
-from agents.area_files.split_digest import stamp_split
 from agents.protocol.configuration import Configuration
 from agents.protocol.configuration_digest import LEFT_OUT
 from coordinator.lab.deployment.split import area_files

@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from agents.messages.boundary_arrays import read_triangle
 from agents.messages.packing import (
     DownMessage,
     Header,
@@ -21,7 +22,6 @@ from agents.messages.packing import (
     decode,
     encode,
 )
-from agents.messages.triangle import read_triangle
 from agents.runtime.link import FaultyLinks
 from agents.runtime.link_faults import LinkFate
 from agents.strategies.admm_boundary import AdmmMessage

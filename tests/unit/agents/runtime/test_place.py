@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from agents.area_files.split_digest import stamp_split
+from agents.area_files.area_file import stamp_split
 from agents.messages.keys import live_key, split_of
 from agents.messages.packing import Incarnation
 from agents.protocol.configuration import Configuration

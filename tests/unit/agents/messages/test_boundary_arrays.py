@@ -5,12 +5,12 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from agents.messages.boundary_arrays import read_triangle, write_triangle
 from agents.messages.checks import MessageError
 from agents.messages.packing import (
     decode,
     encode,
 )
-from agents.messages.triangle import read_triangle, write_triangle
 from agents.messages.types import PlaceMessage, VariablesMessage
 from dsse_core.grid.boundary import Boundary, boundary_at
 from tests.support.sample_messages import MESSAGES, UP

@@ -1,8 +1,15 @@
-"""Lengths of the arrays in messages about a boundary, which follow from its variables."""
+"""The arrays of messages about a boundary: their lengths, which follow from its variables, and R as its upper triangle.
+
+R, shape (d, d), is the square root of an information. A message has its d (d + 1) / 2 numbers from the diagonal on.
+"""
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Mapping, Sequence
+
+import numpy as np
 
 from dsse_core.grid.boundary import Boundary
 
@@ -22,3 +29,21 @@ def find_wrong_length(boundary: Boundary, lengths: Lengths) -> str:
             expected = " or ".join(map(str, possible))
             return f"{name} has {found} numbers, not {expected}, with {boundary.d} variables"
     return ""
+
+
+@functools.cache
+def _upper(d: int) -> np.ndarray:
+    """Indices of these numbers in ``R.ravel()``, row by row."""
+    return np.flatnonzero(np.triu(np.ones((d, d))))
+
+
+def write_triangle(R: np.ndarray) -> tuple[float, ...]:
+    return tuple(R.ravel()[_upper(len(R))].tolist())
+
+
+def read_triangle(numbers: Sequence[float]) -> np.ndarray:
+    """R, shape (d, d)."""
+    d = (math.isqrt(8 * len(numbers) + 1) - 1) // 2
+    R = np.zeros(d * d)
+    R[_upper(d)] = numbers
+    return R.reshape(d, d)
