@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from numba import njit
-from numba.core import config, event
+from numba.core import config, event, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 
 from dsse_core import compiling
@@ -85,12 +85,23 @@ def compiled(function: Callable[..., Any]) -> Any:
 
     The compiled function lets other threads go on while it runs: a process that takes in no messages from the bus loses
     its links. Numba counts references for each view of an array, and for each array given to a function. The loops over
-    all buses have neither, as these counts would take as long as the work.
+    all buses have neither, as these counts would take as long as the work. Constants among the arguments are variables
+    in it: numba would compile it once more for each constant of a call.
     """
-    dispatcher = njit(error_model="numpy", fastmath={"contract"}, nogil=True)(function)
+    dispatcher: Any = njit(error_model="numpy", fastmath={"contract"}, nogil=True)(function)
     if hasattr(dispatcher, "_cache"):  # not where NUMBA_DISABLE_JIT is set
         dispatcher._cache = KeptCode(function)  # as ``enable_caching`` does with a cache of numba's own
+        dispatcher.get_call_template = _without_literals(dispatcher.get_call_template)
     return dispatcher
+
+
+def _without_literals(find: Callable[..., Any]) -> Callable[..., Any]:
+    """``get_call_template`` of a dispatcher, for arguments that are constants as for others."""
+
+    def find_template(args: Any, kws: Any) -> Any:
+        return find(tuple(map(types.unliteral, args)), {name: types.unliteral(of) for name, of in dict(kws).items()})
+
+    return find_template
 
 
 class _Locator:

@@ -203,7 +203,7 @@ class _Rows:
         assert isinstance(plan, RadialPlan)
         space, lanes = plan.take_space(), self._lanes(plan)
         self.spaces.append(space)
-        of_plan = plan.parent, plan.level, plan.admittance, plan.no_load_admittance, plan.order, plan.slot
+        of_plan = plan.parent, plan.level, plan.admittance, plan.no_load_admittance, plan.order, plan.meter
         options = plan.has_currents, float(self.tolerance), MOST_STEPS
 
         def do(first: int, end: int) -> None:

@@ -21,7 +21,7 @@ from dsse_core.estimation.radial_threads import estimate_on_threads
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
 from dsse_core.gauss_newton import EVALUATE, LARGEST_STEP, LOST, Solution
 from dsse_core.grid.measurement import check_readings
-from dsse_core.radial.plan import N_SLOT, RadialPlan
+from dsse_core.radial.plan import RadialPlan
 
 
 def estimate_radial(
@@ -95,45 +95,32 @@ def _load_compiled() -> ModuleType:
 class RadialInverse(NamedTuple):
     """The selected inverse of a tree, in tree order; ``radial.kernel`` defines the letters.
 
-    ``weights`` (n_bus, 10): variances of injections, -1 without a meter, and weights of other meters. ``X``
-    (n_bus, 4, 4): D^-1 U. ``lam`` (n_bus, 3): upper triangle of (D^-1)_lamlam. ``T``, ``Z`` (n_bus, 2, 2): with them
-    x = T x_p + Z f. ``S`` (n_bus, 4, 4): blocks of the inverse at (lam, x). ``state`` (n_bus, 2), ``omega``
-    (n_bus, 10): variances of va and vm, and of the residuals. X, T, Z are 0 at the root.
+    ``weights`` (n_bus, 10): variances of injections, -1 without a meter, and weights of other meters. ``factor``
+    (n_bus, 24), ``more`` (n_bus, 9): the factors of ``kernel.eliminate``, 0 at the root. ``S`` (n_bus, 4, 4): blocks of
+    the inverse at (lam, x). ``omega`` (n_bus, 10): variances of the residuals. ``variance`` (2 n_bus,): of
+    x = [va; vm], network order.
     """
 
     weights: np.ndarray
-    X: np.ndarray
-    lam: np.ndarray
-    T: np.ndarray
-    Z: np.ndarray
+    factor: np.ndarray
+    more: np.ndarray
     S: np.ndarray
-    state: np.ndarray
     omega: np.ndarray
+    variance: np.ndarray
 
 
 def invert_radial(plan: RadialPlan, sigmas: np.ndarray, vm: np.ndarray, va: np.ndarray) -> RadialInverse:
     """Selected inverse of the information of meters with ``sigmas`` (n_meas,) at vm, va (n_bus,), network order."""
-    from dsse_core.radial import inverse as radial_inverse
-    from dsse_core.radial import iteration as radial_iteration
-    from dsse_core.radial import kernel as radial_kernel
+    from dsse_core.radial.kernel import INVERT
+    from dsse_core.radial.tree import Tree
 
-    n = len(vm)
-    z, w, v, va_in_order = np.zeros((n, N_SLOT)), np.empty((n, N_SLOT)), np.empty(n, dtype=complex), np.empty(n)
-    radial_inverse.turn_to_radial_order(plan.order, vm, va, v, va_in_order)
-    radial_iteration.store(plan.meter, np.zeros(len(sigmas), dtype=bool), sigmas, sigmas, z, w)  # any readings
-    work = radial_kernel.Work.of(n)
-    radial_kernel.eliminate(plan.parent, plan.admittance, z, w, v, va_in_order, True, radial_kernel.INVERT, *work)
-    state, omega, S = radial_inverse.find_variances(plan.parent, plan.admittance, w, v, *work[2:5], True)
-    work.factor[0] = 0.0
-    t0, t1, qr, qi = work.factor[:, 20:].T
-    T, Z = np.zeros((n, 2, 2)), np.stack([-qi, -qr, qr, -qi], axis=1).reshape(n, 2, 2)
-    T[1:, 0, 0], T[:, 0, 1], T[:, 1, 1] = 1.0, t0, t1
-    X, lam = work.factor[:, :16].reshape(n, 4, 4), work.more[:, 6:9]
-    return RadialInverse(w, X, lam, T, Z, S, state, omega)
+    tree = Tree.of(plan).read(np.zeros(len(sigmas)), sigmas)
+    tree.go_up(np.concatenate([va, vm]), INVERT, (0.0, 0.0), (0.0, 0.0))
+    variance, omega, S, _ = tree.variances(True, 2 * len(vm))
+    tree.work.factor[0] = 0.0
+    return RadialInverse(tree.w, tree.work.factor, tree.work.more, S, omega, variance)
 
 
 def find_radial_variances(plan: RadialPlan, inverse: RadialInverse) -> tuple[np.ndarray, np.ndarray]:
     """diag of the covariance of x = [va; vm], shape (2 n_bus,), network order, and diag(Omega), (n_meas,)."""
-    state = np.empty((2, len(plan.order)))
-    state[:, plan.order] = inverse.state.T
-    return state.ravel(), inverse.omega.ravel()[plan.slot]
+    return inverse.variance, inverse.omega.ravel()[plan.slot]

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import copy
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -29,17 +27,10 @@ from dsse_core.linear.boundary_information import (
 from dsse_core.linear.contributions import VoltageReadings, least_squares
 from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, LinearArea, Received
 from dsse_core.linear.rows import TableauSolver
-from dsse_core.radial.plan import (
-    N_SLOT,
-    N_VOLTAGE_SLOT,
-    RadialLayout,
-    find_slots,
-    lay_out_radial,
-    stack_admittances,
-)
+from dsse_core.radial.plan import N_SLOT, N_VOLTAGE_SLOT, lay_out_radial, plan_tree
 
 if TYPE_CHECKING:
-    from dsse_core.radial.kernel import Work
+    from dsse_core.radial.tree import Tree
 
 ANGLE_HELD = 1e6  # weight of the reference's angle, rad^-2, small enough to keep the digits of other information
 LEAST_OF_FLOW = 1e-12  # information given to powers through branches that nothing determines yet
@@ -55,26 +46,6 @@ def find_why_not_radial(network: Network) -> str:
     return layout if isinstance(layout, str) else ""
 
 
-@dataclass
-class _Rooted:
-    """The area's tree from one bus, with the readings and weights of ``radial.kernel`` and memory for the passes."""
-
-    layout: RadialLayout
-    admittance: np.ndarray
-    slot: np.ndarray
-    z: np.ndarray
-    w: np.ndarray
-    variance: np.ndarray  # of the meters
-    at: np.ndarray
-    work: Work
-    v: np.ndarray
-    va: np.ndarray
-    message_of: np.ndarray
-    R: np.ndarray  # of the neighbours' messages
-    message_z: np.ndarray
-    role: np.ndarray
-
-
 class RadialSolver(LinearArea):
     """Back end for a radial ``model``; ``by_rows`` takes the calls that are declined."""
 
@@ -84,7 +55,7 @@ class RadialSolver(LinearArea):
         self.declined = Counter()
         self._model, self._by_rows = model, by_rows
         self._area, self._reference = model.area, model.reference
-        self._rooted: dict[int, _Rooted] = {}
+        self._rooted: dict[int, Tree] = {}
         self._column = np.array(
             [-1 if n.is_parent else model.boundary_columns(n)[0] for n in self._area.neighbours], dtype=np.int64
         )
@@ -93,7 +64,7 @@ class RadialSolver(LinearArea):
         """See ``LinearArea``; the two solvers share trees and the memory of the passes."""
         other = copy.copy(self)
         other._model, other._by_rows = model, self._by_rows.with_readings(model)
-        other._rooted = {at: other._read_into(rooted) for at, rooted in self._rooted.items()}
+        other._rooted = {at: other._read_into(tree, model.z) for at, tree in self._rooted.items()}
         return other
 
     @cached_property
@@ -121,56 +92,38 @@ class RadialSolver(LinearArea):
 
     def _find_step(self, x: np.ndarray, received: Received, damping: tuple[float, float]) -> np.ndarray | None:
         """The step, shape (size,), or None where it is declined; ``damping``: of voltages and of powers."""
-        from dsse_core.radial.boundary import step_downward
-
-        t = self._tree_from(self._top, x)
-        if not self._pass(t, x, received, damping, 0.0):
+        tree = self._tree_from(self._top, x)
+        if not self._pass(tree, x, received, damping, 0.0):
             return None
-        dx = np.empty(self._model.size)
-        if not self._downward(step_downward, t, t.work.block, t.work.step, dx):
+        dx = tree.step(self._reference is not None, self._model.size)
+        if dx is None:
             self._decline("a step beyond all numbers")
-            return None
         return dx
 
     def _find_variances(
         self, x: np.ndarray, received: Received, damping: tuple[float, float]
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        from dsse_core.radial.boundary import variances_downward
-
-        t = self._tree_from(self._top, x)
-        if not self._pass(t, x, received, damping, 0.0):
+        tree = self._tree_from(self._top, x)
+        if not self._pass(tree, x, received, damping, 0.0):
             return None
-        variance = np.empty(self._model.size)
-        omega, enough = self._downward(variances_downward, t, t.work.more, t.work.block, variance)
+        variance, omega, _, enough = tree.variances(self._reference is not None, self._model.size)
         if not enough:
             self._decline("a variance lost in that of a power")
             return None
-        return variance, self._model.real_part(omega.ravel()[t.slot] + self._variance_beside_further(t))
-
-    def _downward(
-        self, compiled: Callable[..., Any], t: _Rooted, one: np.ndarray, other: np.ndarray, found: np.ndarray
-    ) -> Any:
-        """Result of the pass ``compiled`` from root to leaves, which fills ``found``; memory: ``one``, ``other``."""
-        return compiled(
-            t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.v, t.va, t.message_of,
-            t.work.above, t.work.factor, one, other, self._reference is not None, found,
-        )  # fmt: skip
+        return variance, self._model.real_part(omega.ravel()[tree.plan.slot] + self._variance_beside_further(tree, x))
 
     def _find_information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation | None:
-        from dsse_core.radial import root as radial_root
+        from dsse_core.radial.root import describe_root
 
         angle_given, is_away = self._reference == neighbour.bus, self._reference not in (None, neighbour.bus)
         t = self._tree_from(neighbour.bus, x)
         if is_away:
-            i = self._row_of_reference(t)
-            t.z[i, 0], t.w[i, 0] = x[t.layout.order[i]], ANGLE_HELD
+            i = self._number_of(t, self._reference)
+            t.z[i, 0], t.w[i, 0] = x[t.plan.order[i]], ANGLE_HELD
         if not self._pass(t, x, received, (0.0, LEAST_OF_POWER), LEAST_OF_FLOW, addressee=neighbour.area):
             return None
-        K, vm = np.empty(radial_root.N_KNOWN), abs(t.v[0])
-        radial_root.describe_root(
-            t.admittance[0], t.z[0], t.w[0], t.v[0], t.va[0], t.work.above[0], angle_given,
-            not neighbour.is_parent, K,
-        )  # fmt: skip
+        K, vm = t.work.above[0], abs(t.v[0])
+        describe_root(t.plan.admittance[0], t.z[0], t.w[0], t.v[0], t.va[0], K, angle_given, not neighbour.is_parent)
         S = -np.array([[K[0], K[1]], [K[1], K[2]]])
         slope, mean = np.array([[K[4] / vm, K[3]], [K[6] / vm, K[5]]]), -K[10:12]
         M, g = np.array([[K[9] / vm**2, K[8] / vm], [K[8] / vm, K[7]]]), np.array([K[13] / vm, K[12]])
@@ -193,7 +146,7 @@ class RadialSolver(LinearArea):
         return found.with_row(angle[0], angle[0] @ y + angle[1]) if is_away else found
 
     def _angle_of_reference(
-        self, t: _Rooted, P: np.ndarray, slope: np.ndarray, mean: np.ndarray, sign: float
+        self, t: Tree, P: np.ndarray, slope: np.ndarray, mean: np.ndarray, sign: float
     ) -> tuple[np.ndarray, float]:
         """The given angle of the reference as a function of y: a row by dy, (4,), of variance 1, and its z.
 
@@ -201,36 +154,37 @@ class RadialSolver(LinearArea):
         the reference follow by substitution, and their covariance from ``-P'P``, that of lam.
         """
         from dsse_core.radial.inverse import find_last_angle
-        from dsse_core.radial.kernel import substitute
+        from dsse_core.radial.kernel import descend
 
-        path = [self._row_of_reference(t)]
+        path = [self._number_of(t, self._reference)]
         while path[-1]:
-            path.append(int(t.layout.parent[path[-1]]))
+            path.append(int(t.plan.parent[path[-1]]))
         path.reverse()
-        above, v = np.maximum(np.arange(len(path)) - 1, 0), t.v[path]
-        with_rest, response = t.work.factor[path], t.work.factor[path]
+        n = len(path)
+        place, v, va = np.arange(n), t.v[path], np.zeros(n)
+        above, with_rest, response = np.maximum(place - 1, 0), t.work.factor[path], t.work.factor[path]
         response[:, 16:20] = 0.0
         known = np.zeros((5, 4))  # (lam, x) at the root: responses to p, q, vm, va, and the rest
         known[:, :2] = sign * np.vstack([np.eye(2), -slope.T, -mean]) @ (P.T @ P)
         known[2, 3], known[3, 2] = 1 / abs(v[0]), 1.0
         angle = np.empty(5)
         for k, factor in enumerate((response,) * 4 + (with_rest,)):
-            step = np.zeros((len(path), 4))
+            step = np.zeros((n, 4))
             step[0] = known[k]
-            substitute(above, factor, v, step)
+            descend(0, n, above, place, factor, v, va, step, 0.0, v, va)
             angle[k] = step[-1, 2]
         variance = find_last_angle(above, t.w[path], response, t.work.more[path], -P.T @ P)
         angle /= np.sqrt(max(variance, TIED_SIGMA**2))
         return angle[:4], -float(angle[4])
 
-    def _row_of_reference(self, t: _Rooted) -> int:
-        """Number of the reference in the tree of ``t``."""
-        assert self._reference is not None
-        return int(t.layout.number[self._area.network.row[self._reference]])
+    def _number_of(self, t: Tree, bus: int | None) -> int:
+        """Number of ``bus`` in ``t``."""
+        assert bus is not None
+        return int(t.plan.number[self._area.network.row[bus]])
 
     def _pass(
         self,
-        t: _Rooted,
+        t: Tree,
         x: np.ndarray,
         received: Received,
         damping: tuple[float, float],
@@ -238,6 +192,7 @@ class RadialSolver(LinearArea):
         addressee: str = "",
     ) -> bool:
         from dsse_core.radial import boundary as radial_boundary
+        from dsse_core.radial.kernel import UPWARD
 
         for k, n in enumerate(self._area.neighbours):
             message = received.get(n.area) if n.area != addressee else None
@@ -251,77 +206,59 @@ class RadialSolver(LinearArea):
             t.R[k], t.message_z[k] = (0.0, 0.0) if message is None else (message.R, message.z)
             if n.is_parent:
                 t.w[t.at[k], 2:4] = -1.0
-        enough = radial_boundary.pass_upward(
-            t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.role, t.R, t.message_z,
-            np.asarray(x, dtype=float), damping, least_of_flow, LEAST_SPREAD, t.v, t.va, t.message_of, *t.work,
-        )  # fmt: skip
-        if not enough:
+        x, least = np.asarray(x, dtype=float), (least_of_flow, LEAST_SPREAD)
+        if not t.go_up(x, UPWARD, damping, least):
             self._decline("an open combination of p and q")
-        return bool(enough)
+            return False
+        return True
 
     def _decline(self, why: str) -> None:
         self.declined[why] += 1
 
-    def _tree_from(self, bus: int, x: np.ndarray) -> _Rooted:
+    def _h_for_contributions(self, x: np.ndarray) -> np.ndarray:
+        """h(x), (n_meas,); without computing it where the contributions do not depend on it, any numbers."""
+        return self._model.z if self._model.method is least_squares else self._by_rows.rows.predict(x)
+
+    def _tree_from(self, bus: int, x: np.ndarray) -> Tree:
         """The tree from ``bus`` with the meters' contributions at ``x``; those of least squares depend on no x."""
-        t = self._rooted.get(bus) or self._root_at(bus)
-        if self._model.method is not least_squares:
-            self._rooted[bus] = t = self._read_into(t, self._by_rows.rows.predict(x))
-        return t
+        tree = self._rooted.get(bus)
+        if tree is None or self._model.method is not least_squares:
+            self._rooted[bus] = tree = self._read_into(tree or self._root_at(bus), self._h_for_contributions(x))
+        return tree
 
-    def _root_at(self, bus: int) -> _Rooted:
-        from dsse_core.radial import kernel as radial_kernel
-        from dsse_core.radial.boundary import N_MESSAGE
+    def _root_at(self, bus: int) -> Tree:
+        from dsse_core.radial.tree import Tree
 
-        network, neighbours = self._area.network, self._area.neighbours
-        layout = lay_out_radial(network, bus)
-        assert isinstance(layout, RadialLayout)  # find_why_not_radial
-        n, k = len(network.buses), len(neighbours)
-        rooted = _Rooted(
-            layout=layout,
-            admittance=stack_admittances(network, layout),
-            slot=find_slots(network, self._model.meters, layout),
-            z=np.zeros((n, N_SLOT)),
-            w=radial_kernel.absent(n),
-            variance=self._model.sigma**2.0,
-            at=np.array([layout.number[network.row[n.bus]] for n in neighbours], dtype=np.int64),
-            work=radial_kernel.Work.of(n),
-            v=np.empty(n, dtype=complex),
-            va=np.empty(n),
-            message_of=np.zeros((k, N_MESSAGE)),
-            R=np.zeros((k, 4, 4)),
-            message_z=np.zeros((k, 4)),
-            role=np.zeros(k, dtype=np.int64),
-        )
-        self._rooted[bus] = rooted = self._read_into(rooted)
-        return rooted
+        found = plan_tree(self._area.network, self._model.meters, bus)
+        assert not isinstance(found, str)  # find_why_not_radial
+        tree = Tree.of(found[0], np.empty(len(self._column), dtype=np.int64), self._column)
+        tree.at[:] = [self._number_of(tree, n.bus) for n in self._area.neighbours]
+        return tree
 
-    def _read_into(self, t: _Rooted, h: np.ndarray | None = None) -> _Rooted:
-        """``t`` with the contributions of the meters where h(x) is ``h``, by default z, and with further readings.
+    def _read_into(self, tree: Tree, h: np.ndarray) -> Tree:
+        """``tree`` with the contributions of the meters where h(x) is ``h``, and with further readings.
 
         Two readings of one voltage become one of their joint weight.
         """
-        z, w, model = t.z.copy(), t.w.copy(), self._model
-        own, of_injection = model.contribution(model.z if h is None else h), np.isin(t.slot % N_SLOT, (2, 3))
-        w[:, :N_VOLTAGE_SLOT] = 0.0
-        z.ravel()[t.slot] = model.z + own.shift
-        w.ravel()[t.slot] = np.where(of_injection, 1 / own.weight, own.weight)
+        model = self._model
+        own = model.contribution(h)
+        tree = tree.read(model.z + own.shift, own.weight**-0.5)
+        z, w = tree.z[:, :N_VOLTAGE_SLOT], tree.w[:, :N_VOLTAGE_SLOT]
         for further in model.further:
             assert isinstance(further, VoltageReadings)  # others are dense, see ``choose``
-            read, of_read = np.stack(np.split(further.z, 2))[:, t.layout.order].T, further.sigma**-2.0
-            joint = w[:, :N_VOLTAGE_SLOT] + of_read
-            misfit = z[:, :N_VOLTAGE_SLOT] - read
+            read, of_read = np.stack(np.split(further.z, 2))[:, tree.plan.order].T, further.sigma**-2.0
+            joint, misfit = w + of_read, z - read
             misfit[:, 0] = np.pi - (np.pi - misfit[:, 0]) % (2 * np.pi)
-            z[:, :N_VOLTAGE_SLOT] = read + w[:, :N_VOLTAGE_SLOT] / joint * misfit
-            w[:, :N_VOLTAGE_SLOT] = joint
-        return replace(t, z=z, w=w, variance=1 / own.weight)
+            z[:], w[:] = read + w / joint * misfit, joint
+        return tree
 
-    def _variance_beside_further(self, t: _Rooted) -> np.ndarray:
+    def _variance_beside_further(self, t: Tree, x: np.ndarray) -> np.ndarray:
         """R of each meter less the variance of its joint reading with further ones, (n_meas,); 0 without these."""
+        slot = t.plan.slot
         if not self._model.further:
-            return np.zeros(len(t.slot))
-        share = 1 - 1 / (t.variance * t.w.ravel()[t.slot])
-        return np.where(t.slot % N_SLOT < N_VOLTAGE_SLOT, t.variance * share, 0.0)
+            return np.zeros(len(slot))
+        own = self._model.contribution(self._h_for_contributions(x)).weight
+        return np.where(slot % N_SLOT < N_VOLTAGE_SLOT, 1 / own - 1 / t.w.ravel()[slot], 0.0)
 
 
 def _with_own_balance(

@@ -28,6 +28,12 @@ def modulus(s):
 
 
 @compiled
+def square_of(s):
+    """|s|^2."""
+    return s.real**2 + s.imag**2
+
+
+@compiled
 def scaled(c, a):
     """``a c`` of a complex ``c`` and a real ``a``: a product of two complex numbers would be twice the work."""
     return complex(a * c.real, a * c.imag)

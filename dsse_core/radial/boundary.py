@@ -4,20 +4,19 @@ The message of a neighbour about ``y = (p, q, vm_b, va_b)``, rows ``[P X; 0 N]``
 bus b and a power that leaves it, as a bus passes to its parent in ``kernel``: covariance ``V = (P'P)^-1``, slope ``A =
 P^-1 X``, information ``N'N``. A child's power is a variable of the area. The power in the message of the parent is
 the sum of the powers into the area's own branches, as an exact balance at b states. The area's own message is the
-information left at the root of a tree with b on top.
+information left at the root of a tree with b on top. Without neighbours these are the passes of the centre.
 """
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from dsse_core.code_cache import compiled
+from dsse_core.radial.block import scaled
 from dsse_core.radial.inverse import find_variances
 from dsse_core.radial.iteration import branch_powers
-from dsse_core.radial.kernel import UPWARD, eliminate, substitute
-from dsse_core.radial.root import N_KNOWN, solve_root
+from dsse_core.radial.kernel import UPWARD, descend, eliminate
+from dsse_core.radial.root import solve_root
 
 SILENT, RECEIVED, ADDRESSEE = 0, 1, 2  # role of a neighbour in a pass
 N_MESSAGE = 9  # numbers of a neighbour's message: V (3), A (4), mean (2)
@@ -26,21 +25,21 @@ LARGEST_LOSS = 1e-4  # least variance that is a difference, relative to the minu
 
 @compiled
 def pass_upward(
-    order, parent, Y, z, w, at, column, role, R, message_z, x, damping, least_of_flow, least_spread,
+    order, parent, Y, z, w, mode, at, column, role, R, message_z, x, damping, least_of_flow, least_spread,
     v, va, message_of, place, above, factor, more, block, step,
 ):  # fmt: skip
     """Pass from leaves to root with all messages; False where too few digits are left. Fills ``above[0]``, of the root.
 
-    ``at`` (k,): bus of each neighbour; ``column`` (k,): where x has the power into it, -1 for the parent. ``damping``:
-    information about the change of voltages and powers. Sets ``w`` of injections to 0 at the parent's bus where the
-    parent's message is received.
+    ``mode``: see ``kernel``; only UPWARD tells if digits are left. ``at`` (k,): bus of each neighbour; ``column`` (k,):
+    where x has the power into it, -1 for the parent. ``damping``: information about the change of voltages and powers.
+    Sets ``w`` of injections to 0 at the parent's bus where the parent's message is received.
     """
     n = len(order)
     for i in range(n):
         row = order[i]
         vm = x[n + row]
         va[i] = x[row]
-        v[i] = vm * complex(math.cos(va[i]), math.sin(va[i]))
+        v[i] = scaled(complex(math.cos(va[i]), math.sin(va[i])), vm)
         above[i, :] = 0.0
         above[i, 7], above[i, 9] = damping[0], damping[0] * vm * vm
     for k in range(len(at)):
@@ -59,10 +58,11 @@ def pass_upward(
             message_of[k, 0], message_of[k, 1], message_of[k, 2], least_spread
         ):
             return False
-    eliminate(parent, Y, z, w, v, va, True, UPWARD, place, above, factor, more, block, step, least_of_flow)
-    for i in range(1, n):
-        if not _is_spread(factor[i, 8], factor[i, 9], factor[i, 13], least_spread):
-            return False
+    eliminate(1, n, parent, Y, z, w, v, va, True, mode, place, above, factor, more, block, least_of_flow)
+    if mode == UPWARD:
+        for i in range(1, n):
+            if not _is_spread(factor[i, 8], factor[i, 9], factor[i, 13], least_spread):
+                return False
     return math.isfinite(above[0].sum())
 
 
@@ -127,13 +127,13 @@ def _add_message(M, T, R, z, p, q, vm, va, sign, d):
 
 
 @compiled
-def step_downward(order, parent, Y, z, w, at, column, v, va, message_of, above, factor, block, step, angle_given, dx):
+def step_downward(
+    order, parent, Y, z, w, at, column, v, va, message_of, place, above, factor, more, block, step, angle_given, dx
+):  # fmt: skip
     """Pass from root to leaves: fills the step ``dx`` of all voltages and powers into children; True if finite."""
     n = len(order)
-    solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], angle_given, False, block, np.empty(N_KNOWN))
-    for k in range(4):
-        step[0, k] = block[k, 8]
-    substitute(parent, factor, v, step)
+    solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], angle_given, False, block, step)
+    descend(0, n, parent, place, factor, v, va, step, 0.0, v, va)
     for i in range(n):
         row = order[i]
         dx[row], dx[n + row] = step[i, 2], abs(v[i]) * step[i, 3]
@@ -147,14 +147,15 @@ def step_downward(order, parent, Y, z, w, at, column, v, va, message_of, above, 
 
 @compiled
 def variances_downward(
-    order, parent, Y, z, w, at, column, v, va, message_of, above, factor, more, block, angle_given, variance
+    order, parent, Y, z, w, at, column, v, va, message_of, place, above, factor, more, block, step, angle_given,
+    variance,
 ):  # fmt: skip
     """Pass from root to leaves: fills ``variance`` of all variables.
 
-    Returns diag(Omega) of every slot, (n, 10), and True where digits enough are left.
+    Returns diag(Omega) of every slot, (n, 10), the blocks of ``find_variances``, and True where digits enough are left.
     """
     n = len(order)
-    solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], angle_given, False, block, np.empty(N_KNOWN))
+    solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], angle_given, False, block, step)
     state, omega, S = find_variances(parent, Y, w, v, factor, more, block, angle_given)
     enough = True
     for i in range(n):
@@ -172,4 +173,4 @@ def variances_downward(
                     for b in range(4):
                         total += row[a] * B[a, b] * row[b]
                 variance[column[k] + m] = total
-    return omega, enough and math.isfinite(variance.sum())
+    return omega, S, enough and math.isfinite(variance.sum())

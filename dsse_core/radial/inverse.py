@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from dsse_core.code_cache import compiled
-from dsse_core.radial.block import modulus, scaled
+from dsse_core.radial.block import modulus
 from dsse_core.radial.iteration import branch_powers
 from dsse_core.radial.kernel import coefficients_of, row_of_branch
-
-
-@compiled
-def turn_to_radial_order(order, vm, va, v, va_in_order):
-    """Stores the voltages ``vm``, ``va``, in network order, in ``v`` and ``va_in_order``, in tree order."""
-    for i in range(len(order)):
-        va_in_order[i] = va[order[i]]
-        v[i] = scaled(complex(math.cos(va_in_order[i]), math.sin(va_in_order[i])), vm[order[i]])
 
 
 @compiled
@@ -63,11 +53,11 @@ def find_last_angle(parent, w, factor, more, of_lam):
 
 
 @compiled
-def find_variances_of_sums(parent, w, X, lam, T, Z, S0, indptr, indices, data):
+def find_variances_of_sums(parent, w, factor, more, S0, indptr, indices, data):
     """Variances of linear functions of the state, (n_sum,), by eliminating their right-hand sides as those of a step.
 
     ``indptr``, ``indices``, ``data``: sparse rows (n_sum, 3 n) of each function's derivatives by ``f`` (2) and
-    dvm / vm of each bus. ``lam`` (n, 3): (D^-1)_lamlam; ``S0``: the block of the inverse at the root's ``(lam, x)``.
+    dvm / vm of each bus. ``S0``: the block of the inverse at the root's ``(lam, x)``.
     """
     n, found = len(parent), np.zeros(len(indptr) - 1)
     above, of_f, reached = np.zeros((n, 4)), np.zeros((n, 2)), np.zeros(n, dtype=np.bool_)
@@ -82,7 +72,7 @@ def find_variances_of_sums(parent, w, X, lam, T, Z, S0, indptr, indices, data):
             reached[i], last = True, max(i, last)
         for i in range(last, 0, -1):
             if reached[i]:
-                found[k] += _eliminate_sum(i, parent[i], w, X, lam, T, Z, above, of_f)
+                found[k] += _eliminate_sum(i, parent[i], w, factor, more, above, of_f)
                 reached[i], reached[parent[i]] = False, True
         for r in range(4):
             for c in range(4):
@@ -92,22 +82,22 @@ def find_variances_of_sums(parent, w, X, lam, T, Z, S0, indptr, indices, data):
 
 
 @compiled
-def _eliminate_sum(i, p, w, X, lam, T, Z, above, of_f):
+def _eliminate_sum(i, p, w, factor, more, above, of_f):
     """b' D^-1 b of the right-hand side b of a bus; passes b on to the parent ``p`` and sets it to 0."""
+    X0, X1, X2, X3 = _row(factor, i, 0), _row(factor, i, 1), _row(factor, i, 2), _row(factor, i, 3)
+    t0, t1, qr, qi = factor[i, 20], factor[i, 21], factor[i, 22], factor[i, 23]
     l0 = above[i, 0] if w[i, 2] >= 0.0 else 0.0  # no meter, no multiplier
     l1 = above[i, 1] if w[i, 3] >= 0.0 else 0.0
     s0, s1 = above[i, 2], above[i, 3]
-    f0 = of_f[i, 0] + Z[i, 0, 0] * s0 + Z[i, 1, 0] * s1
-    f1 = of_f[i, 1] + Z[i, 0, 1] * s0 + Z[i, 1, 1] * s1
-    y0 = lam[i, 0] * l0 + lam[i, 1] * l1 + X[i, 0, 0] * f0 + X[i, 0, 1] * f1
-    y1 = lam[i, 1] * l0 + lam[i, 2] * l1 + X[i, 1, 0] * f0 + X[i, 1, 1] * f1
-    y2 = X[i, 0, 0] * l0 + X[i, 1, 0] * l1 + X[i, 2, 0] * f0 + X[i, 2, 1] * f1
-    y3 = X[i, 0, 1] * l0 + X[i, 1, 1] * l1 + X[i, 3, 0] * f0 + X[i, 3, 1] * f1
+    f0, f1 = of_f[i, 0] - qi * s0 + qr * s1, of_f[i, 1] - qr * s0 - qi * s1
+    y0 = more[i, 6] * l0 + more[i, 7] * l1 + X0[0] * f0 + X0[1] * f1
+    y1 = more[i, 7] * l0 + more[i, 8] * l1 + X1[0] * f0 + X1[1] * f1
+    y2 = X0[0] * l0 + X1[0] * l1 + X2[0] * f0 + X2[1] * f1
+    y3 = X0[1] * l0 + X1[1] * l1 + X3[0] * f0 + X3[1] * f1
     above[p, 0] -= y2
     above[p, 1] -= y3
-    above[p, 2] += s0 - (X[i, 0, 2] * l0 + X[i, 1, 2] * l1 + X[i, 2, 2] * f0 + X[i, 3, 2] * f1)
-    above[p, 3] += T[i, 0, 1] * s0 + T[i, 1, 1] * s1
-    above[p, 3] -= X[i, 0, 3] * l0 + X[i, 1, 3] * l1 + X[i, 2, 3] * f0 + X[i, 3, 3] * f1
+    above[p, 2] += s0 - (X0[2] * l0 + X1[2] * l1 + X2[2] * f0 + X3[2] * f1)
+    above[p, 3] += t0 * s0 + t1 * s1 - (X0[3] * l0 + X1[3] * l1 + X2[3] * f0 + X3[3] * f1)
     for c in range(4):
         above[i, c] = 0.0
     of_f[i, 0] = of_f[i, 1] = 0.0

@@ -14,6 +14,9 @@ With the multipliers an injection may be exact (variance 0) and touches its bus 
 
 Eliminating ``(lam, f)`` of a bus, a 4 x 4 block D solved with pivoting, leaves a 4 x 4 message about
 ``(lam_p, x_p)``. On the same factors the blocks of the inverse that the tree needs follow from the root downwards.
+
+Three passes do all work, of the centre, of an area with its neighbours' messages (``boundary``), of many scans side by
+side and of feeders on several threads: ``eliminate``, ``root.solve_root``, ``descend``.
 """
 
 from __future__ import annotations
@@ -25,17 +28,18 @@ import numpy as np
 
 from dsse_core.code_cache import compiled
 from dsse_core.grid.measurement_model import CURRENT_FLOOR
-from dsse_core.radial.block import N_INVERSE, cut_round_off, modulus, scaled, solve_blocks, wrap
-from dsse_core.radial.root import N_KNOWN, solve_root
+from dsse_core.radial.block import N_INVERSE, cut_round_off, modulus, scaled, solve_blocks, square_of, wrap
+from dsse_core.radial.root import N_KNOWN
 
 SMALL_ANGLE = 0.1  # rad; below it four terms give sine and cosine to the last digit
-SURELY_DEFINITE = 1e-4  # determinant over product of the diagonal from which on 2 x 2 blocks need no pivoting
+# Determinant over product of the diagonal from which on 2 x 2 blocks need no pivoting; it is never above 1.
+SURELY_DEFINITE, ALWAYS_PIVOTING = 1e-4, 2.0
 N_FACTOR = 24  # of a bus: X (16), y (4), t (2), q (2)
 N_MORE = 9  # alpha (4) and beta (2) for row_of_branch, where there is such a row; (D^-1)_lamlam (3)
 
 # Modes. STEP: a step. INVERT: also (D^-1)_lamlam. CHECK: only the least pivot ratio, which tells if every block can be
-# solved. UPWARD: all buses but the root, whose information stays in above[0], and (D^-1)_lamlam; always with pivoting,
-# so that no information seems to be there about unmetered quantities.
+# solved. UPWARD: as INVERT, and always with pivoting, so that no information seems to be there about unmetered
+# quantities.
 STEP, INVERT, CHECK, UPWARD = 0, 1, 2, 3
 
 
@@ -63,63 +67,17 @@ def absent(n: int) -> np.ndarray:
 
 
 @compiled
-def eliminate(parent, Y, z, w, v, va, currents, mode, place, above, factor, more, block, step, least_of_flow=0.0):
-    """Eliminates from leaves to root and finds the root's step. Returns the least pivot ratio, its bus (CHECK), and J.
+def eliminate(first, end, parent, Y, z, w, v, va, currents, mode, place, above, factor, more, block, least_of_flow):
+    """Eliminates the buses from ``end`` - 1 down to ``first`` > 0, whose subtrees are complete.
 
-    ``above`` (:, 16) may hold other information about ``(lam, x)`` of any bus, in its row ``place``, (n,). Without such
-    information buses of one level may share one row, as a subtree is numbered in one piece. ``factor`` (n, 24) and
-    ``more`` (n, 9) are filled for later passes, and the root's row of ``step`` (n, 4). ``least_of_flow`` is added to
-    the information about each branch's power. J counts the meters in use, at ``v`` and ``va``.
+    Returns the least pivot ratio, its bus (CHECK), and J of the meters in use there, at ``v`` and ``va``. ``above``
+    (:, 16) may hold other information about ``(lam, x)`` of any bus, in its row ``place``, (n,). Without such
+    information buses of one level may share one row, as a subtree is numbered in one piece. The information about the
+    parents above ``first`` is left there, such as that about the root, for ``solve_root``. ``factor`` (n, 24) and
+    ``more`` (n, 9) are filled for later passes. ``least_of_flow``: information that is added about each branch's power.
     """
-    least, at, J = eliminate_below(
-        1, len(parent), parent, Y, z, w, v, va, currents, mode, place, above, factor, more, block, least_of_flow
-    )
-    if mode == UPWARD:
-        return least, at, J
-    check = mode == CHECK
-    J += root_objective(Y, z, w, v, va, above[place[0], 14], above[place[0], 15])
-    ratio = eliminate_root(Y, z, w, v, va, check, above[place[0]], block, step)
-    if check and not ratio >= least:
-        least, at = ratio, 0
-    return least, at, J
-
-
-@compiled
-def eliminate_root(Y, z, w, v, va, check, known, block, step):
-    """Finds the root's step from ``known``, the information about it, (16,), which becomes 0; see ``solve_root``."""
-    ratio = solve_root(Y[0], z[0], w[0], v[0], va[0], known, True, check, block, known)
-    for k in range(4):
-        step[0, k] = block[k, 8]
-        for c in range(4):
-            known[4 * k + c] = 0.0
-    return ratio
-
-
-@compiled
-def root_objective(Y, z, w, v, va, p_below, q_below):
-    """J of the root's own meters, with the powers into the branches below."""
-    u2 = v[0].real ** 2 + v[0].imag ** 2
-    r0 = z[0, 2] - (Y[0, 7].real * u2 + p_below)
-    r1 = z[0, 3] - (Y[0, 7].imag * u2 + q_below)
-    J = 0.0
-    if w[0, 0] > 0.0:
-        J += w[0, 0] * wrap(z[0, 0] - va[0]) ** 2
-    if w[0, 1] > 0.0:
-        J += w[0, 1] * (z[0, 1] - math.sqrt(u2)) ** 2
-    if w[0, 2] > 0.0:
-        J += r0 * r0 / w[0, 2]
-    if w[0, 3] > 0.0:
-        J += r1 * r1 / w[0, 3]
-    return J
-
-
-@compiled
-def eliminate_below(
-    first, end, parent, Y, z, w, v, va, currents, mode, place, above, factor, more, block, least_of_flow
-):  # fmt: skip
-    """``eliminate`` of the buses from ``end`` - 1 down to ``first`` > 0, whose subtrees are complete; J of theirs."""
     check, upward = mode == CHECK, mode == UPWARD
-    invert = mode == INVERT or upward
+    invert, surely = mode == INVERT or upward, ALWAYS_PIVOTING if check or upward else SURELY_DEFINITE
     width = N_INVERSE if invert else 9
     least, at, J = 1.0, 0, 0.0
     for i in range(end - 1, first - 1, -1):
@@ -224,7 +182,7 @@ def eliminate_below(
         C00, C01 = X01 * qr - X00 * qi + c0 * a00, -X00 * qr - X01 * qi + c0 * a01
         C10, C11 = X11 * qr - X10 * qi + c1 * a10, -X10 * qr - X11 * qi + c1 * a11
         det = L00 * L11 - L01 * L01
-        definite = not (check or upward) and L00 < 0.0 and L11 < 0.0 and det > SURELY_DEFINITE * L00 * L11
+        definite = L00 < 0.0 and L11 < 0.0 and det > surely * L00 * L11
         if definite:
             # lam first, then f: 2 x 2 blocks, and only sums of positive terms
             over = 1.0 / det
@@ -234,7 +192,7 @@ def eliminate_below(
             H00, H01 = G00 + C00 * Q00 + C10 * Q10, G01 + C00 * Q01 + C10 * Q11
             H11 = G11 + C01 * Q01 + C11 * Q11
             det = H00 * H11 - H01 * H01
-            definite = det > SURELY_DEFINITE * H00 * H11
+            definite = det > surely * H00 * H11
         if definite:
             over = 1.0 / det
             V00, V01, V11 = H11 * over, -H01 * over, H00 * over
@@ -328,48 +286,20 @@ def coefficients_of(i, factor, more):
 
 
 @compiled
-def substitute(parent, factor, v, step):
-    """Fills ``step`` (n, 4), lam (2) and x of every bus, from root to leaves; that of the root is given.
+def descend(first, end, parent, place, factor, v, va, step, length, v_to, va_to):
+    """Substitution from ``first`` to ``end`` - 1, parents first, and the state ``v_to``, ``va_to`` that it leads to.
 
-    Returns max |dva|, max |dvm|, and True where all are finite.
+    Fills the rows ``place`` of ``step``: lam (2) and x of each bus; those of the parents above ``first``, or of the
+    root, are given. Rows by level stay in the processor's cache, where rows of all buses would take longer than the
+    computation. The state is that by ``length`` of the step from ``v`` and ``va``, which may be overwritten; it counts
+    where no angle turns by SMALL_ANGLE, see ``stretch``. Returns max |dva|, max |dvm|, and True where all are finite.
     """
-    dva, dvm = abs(step[0, 2]), modulus(v[0]) * abs(step[0, 3])
-    dva, dvm, finite = substitute_below(1, len(parent), parent, factor, v, step, dva, dvm)
-    return dva, dvm, finite and math.isfinite(step[0, 2] + step[0, 3])
-
-
-@compiled
-def substitute_below(first, end, parent, factor, v, step, dva, dvm):
-    """``substitute`` for the buses from ``first`` to ``end`` - 1; the maxima start at ``dva`` and ``dvm``."""
-    largest, total = dvm * dvm, 0.0
-    for i in range(first, end):
-        p = parent[i]
-        l0, l1, x0, x1 = step[p, 0], step[p, 1], step[p, 2], step[p, 3]
-        f0 = factor[i, 18] - (factor[i, 8] * l0 + factor[i, 9] * l1 + factor[i, 10] * x0 + factor[i, 11] * x1)
-        f1 = factor[i, 19] - (factor[i, 12] * l0 + factor[i, 13] * l1 + factor[i, 14] * x0 + factor[i, 15] * x1)
-        m0 = factor[i, 16] - (factor[i, 0] * l0 + factor[i, 1] * l1 + factor[i, 2] * x0 + factor[i, 3] * x1)
-        m1 = factor[i, 17] - (factor[i, 4] * l0 + factor[i, 5] * l1 + factor[i, 6] * x0 + factor[i, 7] * x1)
-        d0 = x0 + factor[i, 20] * x1 - factor[i, 23] * f0 - factor[i, 22] * f1
-        d1 = factor[i, 21] * x1 + factor[i, 22] * f0 - factor[i, 23] * f1
-        step[i, 0], step[i, 1], step[i, 2], step[i, 3] = m0, m1, d0, d1
-        dva = max(dva, abs(d0))
-        largest = max(largest, (v[i].real ** 2 + v[i].imag ** 2) * d1 * d1)
-        total += d0 + d1
-    return dva, math.sqrt(largest), math.isfinite(total)
-
-
-@compiled
-def descend(parent, place, factor, v, va, step, length, small, v_to, va_to):
-    """``substitute``, and the state ``v_to``, ``va_to`` by ``length`` of the step from ``v`` and ``va``, in one pass.
-
-    Only the rows ``place`` of ``step`` are used, one for each level. A row for every bus would leave the processor's
-    cache in a large network, which takes longer than the computation. ``small``: see ``turned``. The formulas are those
-    of ``substitute_below``; in a function of their own, even inlined, they make an estimate a quarter longer.
-    """
-    d0, d1 = step[place[0], 2], step[place[0], 3]
-    dva, largest, total = abs(d0), (v[0].real ** 2 + v[0].imag ** 2) * d1 * d1, d0 + d1
-    va_to[0], v_to[0] = va[0] + length * d0, turned(v[0], length * d0, 1.0 + length * d1, small)
-    for i in range(1, len(parent)):
+    at = place[parent[first]]
+    d0, d1 = step[at, 2], step[at, 3]
+    dva, largest, total = abs(d0), square_of(v[parent[first]]) * d1 * d1, d0 + d1
+    if first == 0:
+        va_to[0], v_to[0] = va[0] + length * d0, turned(v[0], length * d0, 1.0 + length * d1)
+    for i in range(max(first, 1), end):
         here, p = place[i], place[parent[i]]
         l0, l1, x0, x1 = step[p, 0], step[p, 1], step[p, 2], step[p, 3]
         f0 = factor[i, 18] - (factor[i, 8] * l0 + factor[i, 9] * l1 + factor[i, 10] * x0 + factor[i, 11] * x1)
@@ -380,20 +310,35 @@ def descend(parent, place, factor, v, va, step, length, small, v_to, va_to):
         d1 = factor[i, 21] * x1 + factor[i, 22] * f0 - factor[i, 23] * f1
         step[here, 0], step[here, 1], step[here, 2], step[here, 3] = m0, m1, d0, d1
         dva = max(dva, abs(d0))
-        largest = max(largest, (v[i].real ** 2 + v[i].imag ** 2) * d1 * d1)
+        largest = max(largest, square_of(v[i]) * d1 * d1)
         total += d0 + d1
         va_to[i] = va[i] + length * d0
-        v_to[i] = turned(v[i], length * d0, 1.0 + length * d1, small)
+        v_to[i] = turned(v[i], length * d0, 1.0 + length * d1)
     return dva, math.sqrt(largest), math.isfinite(total)
 
 
 @compiled
-def turned(v, angle, growth, small):
-    """``v`` turned by ``angle``, which is below SMALL_ANGLE if ``small``, and lengthened."""
-    if small:
-        square = angle * angle
-        c = 1.0 + square * (-1 / 2 + square * (1 / 24 - square * (1 / 720 - square * (1 / 40320))))
-        s = angle + angle * square * (-1 / 6 + square * (1 / 120 - square * (1 / 5040 - square * (1 / 362880))))
-    else:
-        c, s = math.cos(angle), math.sin(angle)
+def turned(v, angle, growth):
+    """``v`` turned by ``angle``, which is below SMALL_ANGLE, and lengthened."""
+    square = angle * angle
+    c = 1.0 + square * (-1 / 2 + square * (1 / 24 - square * (1 / 720 - square * (1 / 40320))))
+    s = angle + angle * square * (-1 / 6 + square * (1 / 120 - square * (1 / 5040 - square * (1 / 362880))))
     return scaled(v * complex(c, s), growth)
+
+
+@compiled
+def count_halves(angle):
+    """The power of 2 by which ``angle`` is divided to be below SMALL_ANGLE."""
+    halves = 1.0
+    while angle >= halves * SMALL_ANGLE:
+        halves *= 2.0
+    return halves
+
+
+@compiled
+def stretch(v, va, v_to, va_to, times):
+    """Moves ``v_to``, ``va_to``, to which a step has led from ``v`` and ``va``, to where ``times`` that step leads."""
+    for i in range(len(v)):
+        angle = times * (va_to[i] - va[i])
+        growth = 1.0 + times * (modulus(v_to[i]) / modulus(v[i]) - 1.0)
+        va_to[i], v_to[i] = va[i] + angle, scaled(v[i] * complex(math.cos(angle), math.sin(angle)), growth)

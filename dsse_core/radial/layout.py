@@ -9,7 +9,7 @@ import numpy as np
 from dsse_core.code_cache import compiled
 from dsse_core.radial.block import N_INVERSE
 from dsse_core.radial.kernel import CHECK, N_FACTOR, N_MORE, eliminate
-from dsse_core.radial.root import N_KNOWN
+from dsse_core.radial.root import N_KNOWN, solve_root
 from dsse_core.radial.walk import find_order
 
 # Least pivot at no load with all sigmas 1, in parts of the largest entry of its column. On 500 random grids, impedances
@@ -112,24 +112,42 @@ def find_flat_start(parent, child, from_parent, active, tap, shift, angle):
 
 
 @compiled
-def find_stuck(parent, no_load_Y, slot, start, start_va):
+def find_stuck(parent, place, no_load_Y, w, start, start_va, z, work):
     """The bus with the least pivot ratio at no load, all sigmas 1, if its block is singular there, else NOT_STUCK.
 
-    Shunts, charging and meters of currents are left out.
+    The meters are those with a weight in ``w`` (n, 10); shunts, charging and meters of currents are left out. ``z``:
+    any readings.
     """
-    n = len(parent)
-    z, w, place = np.zeros((n, 10)), np.zeros((n, 10)), np.arange(n)
-    w[:, 2:4] = -1.0
-    for m in range(len(slot)):
-        column = slot[m] % 10
-        if column != 6 and column != 9:
-            w[slot[m] // 10, column] = 1.0
-    above, factor, more = np.zeros((n, N_KNOWN)), np.empty((n, N_FACTOR)), np.empty((n, N_MORE))
-    block, step = np.empty((4, N_INVERSE)), np.empty((n, 4))
+    above, factor, more, block, step = work
+    alike = np.zeros_like(w)
+    for i in range(len(w)):
+        for k in range(10):
+            if k == 2 or k == 3:
+                alike[i, k] = 1.0 if w[i, k] >= 0.0 else -1.0
+            elif k != 6 and k != 9:
+                alike[i, k] = 1.0 if w[i, k] > 0.0 else 0.0
+    n, at_root = len(parent), (no_load_Y[0], z[0], alike[0], start[0], start_va[0])
     ratio, bus, _ = eliminate(
-        parent, no_load_Y, z, w, start, start_va, False, CHECK, place, above, factor, more, block, step
-    )
+        1, n, parent, no_load_Y, z, alike, start, start_va, False, CHECK, place, above, factor, more, block, 0.0
+    )  # fmt: skip
+    of_root = solve_root(*at_root, above[0], True, True, block, step)
+    if not of_root >= ratio:
+        ratio, bus = of_root, 0
     return NOT_STUCK if ratio > LEAST_PIVOT_RATIO else bus
+
+
+@compiled
+def find_stuck_with(parent, no_load_Y, slot, start, start_va):
+    """``find_stuck`` with the meters of ``slot``."""
+    n = len(parent)
+    z, w = np.zeros((n, 10)), np.zeros((n, 10))
+    for i in range(n):
+        w[i, 2] = w[i, 3] = -1.0
+    for m in range(len(slot)):
+        w[slot[m] // 10, slot[m] % 10] = 1.0
+    above, factor, more = np.zeros((n, N_KNOWN)), np.empty((n, N_FACTOR)), np.empty((n, N_MORE))
+    work = above, factor, more, np.empty((4, N_INVERSE)), np.empty((n, 4))
+    return find_stuck(parent, np.arange(n), no_load_Y, w, start, start_va, z, work)
 
 
 @compiled
@@ -155,7 +173,7 @@ def plan_tree(ends, in_service, root, angle, series, charging, tap, shift, shunt
         loaded = stack(series, charging, tap, shift, shunt, *of_tree, True)
         no_load = stack(series, charging, tap, shift, shunt, *of_tree, False)
         start, start_va = find_flat_start(parent, child, from_parent, active, tap, shift, angle)
-        stuck = find_stuck(parent, no_load, slot, start, start_va)
+        stuck = find_stuck_with(parent, no_load, slot, start, start_va)
     return (
         (n_branch, fit, stuck),
         (order, parent, loaded, no_load, slot, start, start_va, level, has_currents),

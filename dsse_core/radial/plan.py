@@ -67,6 +67,13 @@ class RadialPlan:
         meter[self.slot] = np.arange(len(self.slot))
         return meter.reshape(-1, N_SLOT)
 
+    @cached_property
+    def number(self) -> np.ndarray:
+        """Number in the tree of each row of the network, (n_bus,)."""
+        number = np.empty(len(self.order), dtype=np.int64)
+        number[self.order] = np.arange(len(self.order))
+        return number
+
     def take_space(self) -> np.ndarray:
         """Returns memory of an iteration, which the caller puts back into ``spaces``."""
         try:
@@ -115,20 +122,27 @@ def build_radial_plan(network: Network, meters: Sequence[Meter], *, reference: i
         InvalidInputError: listing every meter that does not fit the network, or an unknown reference.
         NotObservableError: the meters do not determine the state.
     """
-    reference = find_reference(network, reference)
+    found = plan_tree(network, meters, find_reference(network, reference))
+    return found if isinstance(found, str) else _check_determined(*found)
+
+
+def plan_tree(network: Network, meters: Sequence[Meter], root: int) -> tuple[RadialPlan, int] | str:
+    """The plan with bus ``root`` on top, whether or not the meters determine the state, and the bus where they do not.
+
+    That is NOT_STUCK where they do. Returns text and raises as ``build_radial_plan``.
+    """
     table = network.table
     if (obstacle := compiling.find_obstacle(n_bus=len(table.bus_id))) is not None:
         return obstacle
-    root = table.rows.row_of(reference)
-    angle = float(network.slack.va) if network.slack and network.slack.bus == reference else 0.0
-    (n_branch, fit, stuck), found = _load_compiled().plan_tree(
-        table.end_rows, table.in_service, root, angle, *_columns(network), *_read_meters(network, meters), _COLUMNS
-    )
-    if why := describe_no_tree(len(table.bus_id), n_branch, len(found[0]), reference):
+    angle = float(network.slack.va) if network.slack and network.slack.bus == root else 0.0
+    columns = table.series, table.charging, table.tap, table.shift, table.shunt
+    at, read = (table.end_rows, table.in_service, table.rows.row_of(root), angle), _read_meters(network, meters)
+    (n_branch, fit, stuck), found = _load_compiled().plan_tree(*at, *columns, *read, _COLUMNS)
+    if why := describe_no_tree(len(table.bus_id), n_branch, len(found[0]), root):
         return why
     if not (fit and can_be_virtual(meters)):
-        raise _misfits(network, meters)
-    return _check_determined(RadialPlan(network, meters, reference, *found), stuck)
+        raise InvalidInputError(f"meters of network {network.name!r}", list(find_meter_problems(network, meters)))
+    return RadialPlan(network, meters, root, *found), stuck
 
 
 def drop_meters(plan: RadialPlan, rows: Sequence[int]) -> RadialPlan | str:
@@ -136,7 +150,7 @@ def drop_meters(plan: RadialPlan, rows: Sequence[int]) -> RadialPlan | str:
     kept = np.delete(np.arange(len(plan.meters)), rows)
     meters, slot = tuple(plan.meters[k] for k in kept.tolist()), plan.slot[kept]
     has_currents = bool(np.isin(slot % N_SLOT, (6, 9)).any())
-    stuck = _load_compiled().find_stuck(plan.parent, plan.no_load_admittance, slot, plan.start, plan.start_va)
+    stuck = _load_compiled().find_stuck_with(plan.parent, plan.no_load_admittance, slot, plan.start, plan.start_va)
     return _check_determined(replace(plan, meters=meters, slot=slot, has_currents=has_currents), stuck)
 
 
@@ -154,38 +168,17 @@ def stack_admittances(network: Network, layout: RadialLayout) -> np.ndarray:
     Conjugates of ``ycc, ycp, ypp, ypc, ypp / ypc, 1 / ypc, ycp / conj(ypc)``, c the child's end and p the parent's
     (see ``build_admittance``), and of the shunt.
     """
-    of_tree = layout.order, layout.child, layout.from_parent, layout.active
-    stacked: np.ndarray = _load_compiled().stack(*_columns(network), *of_tree, True)
-    return stacked
-
-
-def _columns(network: Network) -> tuple[np.ndarray, ...]:
     table = network.table
-    return table.series, table.charging, table.tap, table.shift, table.shunt
-
-
-def find_slots(network: Network, meters: Sequence[Meter], layout: RadialLayout) -> np.ndarray:
-    """``slot`` of a plan.
-
-    Raises:
-        InvalidInputError: listing every meter that does not fit the network.
-    """
-    of_tree = layout.number, layout.parent, layout.child
-    slot, fit = _load_compiled().place_meters(*_read_meters(network, meters), *of_tree, _COLUMNS)
-    if not fit:
-        raise _misfits(network, meters)
-    found: np.ndarray = slot
-    return found
+    columns = table.series, table.charging, table.tap, table.shift, table.shunt
+    of_tree = layout.order, layout.child, layout.from_parent, layout.active
+    stacked: np.ndarray = _load_compiled().stack(*columns, *of_tree, True)
+    return stacked
 
 
 def _read_meters(network: Network, meters: Sequence[Meter]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Kind, row of the bus and row of the branch, (n_meas,) each, of one type, for which the code is compiled."""
     table = tabulate_meters(network, meters)
     return np.array(table.kind, dtype=np.int64), table.bus, np.asarray(table.branch, dtype=np.int64)
-
-
-def _misfits(network: Network, meters: Sequence[Meter]) -> InvalidInputError:
-    return InvalidInputError(f"meters of network {network.name!r}", list(find_meter_problems(network, meters)))
 
 
 @cache

@@ -7,9 +7,10 @@ import numpy as np
 from dsse_core.code_cache import compiled
 from dsse_core.observability import ROUND_OFF, WIDTH
 from dsse_core.radial import kernel as radial_kernel
-from dsse_core.radial.iteration import branch_powers, predict
+from dsse_core.radial.iteration import branch_powers, find_residuals
 from dsse_core.radial.kernel import coefficients_of, row_of_branch
 from dsse_core.radial.plan import N_SLOT, RadialPlan
+from dsse_core.radial.root import N_KNOWN, solve_root
 
 
 def find_radial_indispensable(plan: RadialPlan) -> np.ndarray:
@@ -21,23 +22,32 @@ def find_radial_indispensable(plan: RadialPlan) -> np.ndarray:
     length = _row_lengths(plan.parent, Y)
     own_length = length.ravel()[slot]
     z, w = np.zeros((n, N_SLOT)), radial_kernel.absent(n)
-    predict(plan.parent, Y, plan.start, plan.start_va, True, z)
-    exact = z.ravel()[slot]
+    exact = _predict(plan)
     w.ravel()[slot] = 1 / own_length**2
     w[:, 2:4] = np.where(w[:, 2:4] > 0, length[:, 2:4] ** 2, w[:, 2:4])
     w[:, [6, 9]] = 0.0
     rng, work = np.random.default_rng(0), radial_kernel.Work.of(n)
-    largest = np.zeros(len(slot))
+    v, va, largest = plan.start.copy(), plan.start_va.copy(), np.zeros(len(slot))
     for _ in range(WIDTH):
         z.ravel()[slot] = exact + own_length * rng.standard_normal(len(slot))
-        at = plan.parent, Y, z, w, plan.start, plan.start_va
-        radial_kernel.eliminate(*at, False, radial_kernel.STEP, *work)
-        radial_kernel.substitute(plan.parent, work.factor, plan.start, work.step)
+        at, root = (plan.parent, Y, z, w, v, va), (Y[0], z[0], w[0], v[0], va[0])
+        radial_kernel.eliminate(1, n, *at, False, radial_kernel.STEP, *work[:5], 0.0)
+        solve_root(*root, work.above[0], True, False, work.block, work.step)
+        radial_kernel.descend(0, n, plan.parent, work.place, work.factor, v, va, work.step, 0.0, v, va)
         residual = _fit_residuals(*at, work.factor, work.more, work.step)
         largest = np.maximum(largest, abs(residual.ravel()[slot]) / own_length)
     of_current = np.isin(slot % N_SLOT, (6, 9))
     indispensable: np.ndarray = (largest < ROUND_OFF) & ~of_current
     return indispensable
+
+
+def _predict(plan: RadialPlan) -> np.ndarray:
+    """h of all meters at the flat start without load, (n_meas,)."""
+    n, h = len(plan.order), np.empty(len(plan.slot))
+    z, at = np.zeros((n, N_SLOT)), (plan.start, plan.start_va, True, plan.meter)
+    memory = np.zeros((n, N_KNOWN)), np.empty(N_SLOT)
+    find_residuals(0, n, plan.parent, plan.level, plan.no_load_admittance, z, radial_kernel.absent(n), *at, *memory, h)
+    return -h
 
 
 def _row_lengths(parent: np.ndarray, Y: np.ndarray) -> np.ndarray:

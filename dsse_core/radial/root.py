@@ -5,49 +5,62 @@ from __future__ import annotations
 import math
 
 from dsse_core.code_cache import compiled
-from dsse_core.radial.block import NOTHING_KNOWN, scaled, solve_blocks, wrap
+from dsse_core.radial.block import NOTHING_KNOWN, scaled, solve_blocks, square_of, wrap
 
-N_KNOWN = 16  # numbers of the information about a root or an addressee: see describe_root
+N_KNOWN = 16  # numbers of the information about a bus: see ``kernel.eliminate``
 
 
 @compiled
-def describe_root(Y, z, w, v, va, M, angle_given, power_too, K):
-    """Fills ``K`` (16,) with the information about the root, in the order of ``above``.
+def describe_root(Y, z, w, v, va, known, angle_given, power_too):
+    """Adds to ``known`` (16,), the information about the root from its branches, that of its own meters.
 
-    That is ``M``, from its branches, its own meters and, with ``power_too``, its balance of power. With ``angle_given``
-    the entries of the angle are 0.
+    With ``power_too`` also that of its balance of power. With ``angle_given`` the entries of the angle become 0.
     """
-    u2 = v.real**2 + v.imag**2
+    u2 = square_of(v)
     vm = math.sqrt(u2)
-    for k in range(N_KNOWN):  # a slice would compile the text of an error that cannot occur
-        K[k] = M[k]
     if power_too:
         ysh = scaled(Y[7], u2)
-        K[0] -= w[2]
-        K[2] -= w[3]
-        K[4] += 2.0 * ysh.real
-        K[6] += 2.0 * ysh.imag
-        K[10] += z[2] - (ysh.real + M[14])
-        K[11] += z[3] - (ysh.imag + M[15])
+        known[0] -= w[2]
+        known[2] -= w[3]
+        known[4] += 2.0 * ysh.real
+        known[6] += 2.0 * ysh.imag
+        known[10] += z[2] - (ysh.real + known[14])
+        known[11] += z[3] - (ysh.imag + known[15])
     if w[0] > 0.0:
-        K[7] += w[0]
-        K[12] += w[0] * wrap(z[0] - va)
+        known[7] += w[0]
+        known[12] += w[0] * wrap(z[0] - va)
     if w[1] > 0.0:
-        K[9] += w[1] * u2
-        K[13] += w[1] * vm * (z[1] - vm)
+        known[9] += w[1] * u2
+        known[13] += w[1] * vm * (z[1] - vm)
     if angle_given:
-        K[3] = K[5] = K[7] = K[8] = K[12] = 0.0
+        known[3] = known[5] = known[7] = known[8] = known[12] = 0.0
 
 
 @compiled
-def solve_root(Y, z, w, v, va, M, angle_given, check, block, K):
-    """Fills ``block``: the root's block of the inverse in columns 4 to 7, its step in 8. Returns as ``solve_block``.
+def find_root_objective(Y, z, w, v, va, known):
+    """J of the root's own meters; ``known`` has the powers into the branches below."""
+    u2 = square_of(v)
+    r0, r1 = z[2] - (Y[7].real * u2 + known[14]), z[3] - (Y[7].imag * u2 + known[15])
+    J = 0.0
+    if w[0] > 0.0:
+        J += w[0] * wrap(z[0] - va) ** 2
+    if w[1] > 0.0:
+        J += w[1] * (z[1] - math.sqrt(u2)) ** 2
+    if w[2] > 0.0:
+        J += r0 * r0 / w[2]
+    if w[3] > 0.0:
+        J += r1 * r1 / w[3]
+    return J
 
-    ``K`` (16,), which may be ``M``, is overwritten.
+
+@compiled
+def solve_root(Y, z, w, v, va, K, angle_given, check, block, step):
+    """Fills ``block``, the root's block of the inverse in columns 4 to 7, and the root's row of ``step`` (:, 4).
+
+    ``K`` (16,): the information about the root from its branches, which becomes 0. Returns as ``solve_block``.
     """
-    describe_root(Y, z, w, v, va, M, angle_given, True, K)
-    if check and angle_given and K[9] < NOTHING_KNOWN:
-        return 0.0
+    describe_root(Y, z, w, v, va, K, angle_given, True)
+    nothing_known = check and angle_given and K[9] < NOTHING_KNOWN
     if w[2] < 0.0:
         K[0], K[1], K[3], K[4], K[10] = -1.0, 0.0, 0.0, 0.0, 0.0
     if w[3] < 0.0:
@@ -59,6 +72,11 @@ def solve_root(Y, z, w, v, va, M, angle_given, check, block, K):
     block[1, 0], block[1, 1], block[1, 2], block[1, 3], block[1, 8] = K[1], K[2], K[5], K[6], K[11]
     block[2, 0], block[2, 1], block[2, 2], block[2, 3], block[2, 8] = K[3], K[5], K[7], K[8], K[12]
     block[3, 0], block[3, 1], block[3, 2], block[3, 3], block[3, 8] = K[4], K[6], K[8], K[9], K[13]
+    for k in range(N_KNOWN):
+        K[k] = 0.0
     for k in range(4):
         block[k, 4 + k] = 1.0
-    return solve_blocks(block, 9, check)
+    ratio = solve_blocks(block, 9, check)
+    for k in range(4):
+        step[0, k] = block[k, 8]
+    return 0.0 if nothing_known else ratio

@@ -23,15 +23,13 @@ class RadialDeviations:
 
     def __init__(self, plan: RadialPlan, branches: BranchModel, inverse: RadialInverse, vm: np.ndarray) -> None:
         self._plan, self._vm, self._inverse = plan, vm, inverse
-        number = np.empty(len(vm), dtype=np.int64)
-        number[plan.order] = np.arange(len(vm))
-        f, t = number[branches.f], number[branches.t]
+        f, t = plan.number[branches.f], plan.number[branches.t]
         self.at_from = plan.parent[t] == f  # of branches in service: whether the from side is above
         self._child = np.where(self.at_from, t, f)[branches.in_service]
         self._branch = np.flatnonzero(branches.in_service)
-        S = inverse.S[plan.parent]
-        self._XS = inverse.X @ S
-        self._ff = self._XS[:, 2:] @ inverse.X[:, 2:].transpose(0, 2, 1) + inverse.X[:, 2:, :2]
+        self._X = inverse.factor[:, :16].reshape(-1, 4, 4)
+        self._XS = self._X @ inverse.S[plan.parent]
+        self._ff = self._XS[:, 2:] @ self._X[:, 2:].transpose(0, 2, 1) + self._X[:, 2:, :2]
 
     def of_branches(self, n_branch: int) -> np.ndarray:
         """Covariance of p, q and ln u at the end above of each branch, (n_branch, 3, 3); 0 out of service."""
@@ -58,14 +56,12 @@ class RadialDeviations:
         child, n = self._child, len(self._plan.parent)
         columns = np.full((by_ends.shape[1] // 3, 3), -1)
         columns[self._branch] = np.stack([3 * child, 3 * child + 1, 3 * self._plan.parent[child] + 2], axis=1)
-        number = np.empty(n, dtype=np.int64)
-        number[self._plan.order] = np.arange(n)
         of_ends = by_ends.data, columns.ravel()[by_ends.indices], by_ends.indptr
-        of_buses = by_buses.data, 3 * number[by_buses.indices] + 2, by_buses.indptr
+        of_buses = by_buses.data, 3 * self._plan.number[by_buses.indices] + 2, by_buses.indptr
         whole = sp.csr_array(of_ends, shape=(by_ends.shape[0], 3 * n))
         whole = sp.csr_array(whole + sp.csr_array(of_buses, shape=whole.shape))
         inverse = self._inverse
-        at = self._plan.parent, inverse.weights, inverse.X, inverse.lam, inverse.T, inverse.Z, inverse.S[0]
+        at = self._plan.parent, inverse.weights, inverse.factor, inverse.more, inverse.S[0]
         found: np.ndarray = find_variances_of_sums(*at, whole.indptr, whole.indices, whole.data)
         return found
 
@@ -91,8 +87,8 @@ class RadialDeviations:
         X, V = np.zeros((len(buses), 2, 4)), np.zeros((len(buses), 2))
         below = 1 + np.flatnonzero(place[plan.parent[1:]] >= 0)
         above = place[plan.parent[below]]
-        np.add.at(X, above, self._inverse.X[below, 2:])
-        np.add.at(V, above, np.stack([self._inverse.X[below, 2, 0], self._inverse.X[below, 3, 1]], axis=1))
+        np.add.at(X, above, self._X[below, 2:])
+        np.add.at(V, above, np.stack([self._X[below, 2, 0], self._X[below, 3, 1]], axis=1))
         XS = X @ S
         shunt = 2 * plan.admittance[buses, 7] * self._vm[plan.order[buses]] ** 2
         h = np.stack([shunt.real, shunt.imag], axis=1)
@@ -113,8 +109,10 @@ class RadialDeviations:
 
     def _with_z(self, C: np.ndarray, buses: np.ndarray) -> np.ndarray:
         """Covariance of (f, dvm_p / vm_p) of each of ``buses`` (k,) with its own z = (lam, x), (k, 3, 4)."""
-        inverse, X, XS = self._inverse, self._inverse.X[buses], self._XS[buses]
-        T, Z = inverse.T[buses].transpose(0, 2, 1), inverse.Z[buses].transpose(0, 2, 1)
+        inverse, X, XS = self._inverse, self._X[buses], self._XS[buses]
+        t0, t1, qr, qi = inverse.factor[buses, 20:].T
+        one, none = np.ones_like(t0), np.zeros_like(t0)
+        T, Z = (np.stack(of, axis=1).reshape(-1, 2, 2) for of in ([one, none, t0, t1], [-qi, qr, -qr, -qi]))  # T', Z'
         found = np.empty((len(X), 3, 4))
         found[:, :2, :2] = XS[:, 2:] @ X[:, :2].transpose(0, 2, 1) + X[:, :2, :2].transpose(0, 2, 1)
         found[:, 2, :2] = -XS[:, :2, 3]
