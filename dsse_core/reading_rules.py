@@ -19,7 +19,7 @@ ANYBODY = "*"  # stands for every gateway; no gateway has this name
 OLDEST_INTERVALS = 5  # after which a reading is left out, unless the rule of its kind says otherwise
 OVERDUE_INTERVALS = 2  # after which it is overdue
 LEAST_LEAD_S = 1.0  # by which a reading may be ahead of its receiver's clock, or
-LEAD_SHARE = 1 / 4  # of the time between two scans, if that is more
+LEAD_SHARE = 1 / 4  # of the time between two scans, if that is more; no two clocks may be farther apart
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ from collections import deque
 from typing import NamedTuple
 
 SAMPLES = 8  # the last ones; the quickest of them counts (RFC 5905)
-SKEW_SHARE = 1 / 4  # of the time between two scans, above which clocks are too far apart
 
 
 class Skew(NamedTuple):

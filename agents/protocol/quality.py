@@ -20,13 +20,12 @@ from agents.strategies.interface import Estimate
 from dsse_core.estimation.decision import Totals
 from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.grid.measurement import Meter, Source
+from dsse_core.reading_rules import LEAST_LEAD_S
 from dsse_core.split_identity import SplitIdentity, SplitUse, are_of_one, describe_other, find_newest
 
 GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE = "good", "degraded", "relative-angle", "stale", "none"
 UNOBSERVABLE = "unobservable"
 QUALITIES = (GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE, UNOBSERVABLE)  # from the best to the worst
-
-EARLY_S = 1.0  # ahead of the own clock, from which on a scan is noted
 
 
 class Finding(NamedTuple):
@@ -232,8 +231,8 @@ def find_overdue_readings(ages: Ages, most_overdue: float, now: float) -> Iterat
 
 
 def find_early_scan(lead_s: float) -> Iterator[Finding]:
-    """Yields a finding where the scan has begun ``EARLY_S`` or more before its time by the area's clock."""
-    if lead_s >= EARLY_S:
+    """Yields a finding where the scan has begun ``LEAST_LEAD_S`` or more before its time by the area's clock."""
+    if lead_s >= LEAST_LEAD_S:
         yield Finding(
             GOOD,
             "this scan is ahead of the clock of this area: that of a neighbour is ahead, or this one has been set back",

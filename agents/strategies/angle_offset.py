@@ -19,13 +19,12 @@ from agents.protocol.configuration import Configuration
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from dsse_core.errors import DsseError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
-from dsse_core.exchange.boundary_load import NetLoad, add_loads, boundary_loads, measured_net_loads
+from dsse_core.exchange.boundary_load import UNSURE_OF_LOAD, NetLoad, add_loads, boundary_loads, measured_net_loads
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear.boundary_information import are_within_reason
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 
-BOUNDARY_INJECTION_SIGMA = 0.10  # of |S|: losses beyond are neglected, loads there are forecasts
 FLOOR_MVA = 1e-3
 SLACK_VOLTAGE_SIGMA = 0.01
 CHANGE = 1e-9  # p.u., rad
@@ -172,7 +171,7 @@ class AngleOffset(Strategy):
             here = own.get(bus, NetLoad(-self._area.network.scheduled_injection(bus)))
             total = add_loads([here, beyond])
             s = -total.s
-            sigma = math.hypot(BOUNDARY_INJECTION_SIGMA * abs(s), FLOOR_MVA / self._area.network.base_mva)
+            sigma = math.hypot(UNSURE_OF_LOAD * abs(s), FLOOR_MVA / self._area.network.base_mva)
             sigma = math.hypot(sigma, math.sqrt(total.variance))
             for kind, value in ((MeasurementKind.P_INJECTION, s.real), (MeasurementKind.Q_INJECTION, s.imag)):
                 chosen.append(Measurement(Meter(kind, bus, source=Source.PSEUDO), value, sigma))

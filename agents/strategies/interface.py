@@ -22,7 +22,6 @@ from dsse_core.grid.partition import Area, Neighbour
 
 LARGEST_VM = 10.0  # p.u.; an iteration that exceeds it wanders for long before it comes back, if it does
 LARGEST_VA = 1e3  # rad; larger angles lose digits
-LARGEST_SPREAD = 6.0  # rad, of one area's angles without the turns of its transformers; a full turn exceeds it
 
 
 @dataclass(frozen=True)
@@ -68,12 +67,13 @@ class Estimate:
         """True where a grid can be in this state, however unusual it is; ``no_load_va``: angles of the unloaded buses.
 
         NaN is no such state. A negative magnitude, or a bus that is off by full turns, is an image of a state at which
-        an iteration that went astray can settle; it is no such state either. Turns that the unloaded buses have, too,
-        as behind transformers, and a common shift of all angles do not count.
+        an iteration that went astray can settle; it is no such state either. So angles spread over less than half a
+        turn. Turns that the unloaded buses have, too, as behind transformers, and a common shift of all angles do not
+        count.
         """
         least, most, load = self.va.min(), self.va.max(), self.va - no_load_va
         voltages = self.vm.min() > 0 and self.vm.max() < LARGEST_VM
-        voltages = voltages and least > -LARGEST_VA and most < LARGEST_VA and load.max() - load.min() < LARGEST_SPREAD
+        voltages = voltages and least > -LARGEST_VA and most < LARGEST_VA and load.max() - load.min() < math.pi
         return bool(voltages and math.isfinite(self.sigma_vm.sum() + self.sigma_va.sum() + self.objective))
 
 

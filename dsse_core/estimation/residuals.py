@@ -15,7 +15,8 @@ import numpy as np
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.meter_table import KINDS, number_kinds
 
-CONFIDENCE = 0.99  # of the chi-square test
+CONFIDENCE = 0.99  # of the chi-square test that asks for normalised residuals
+FALSE_ALARMS = 1e-4  # share of scans of sound readings that lose ``good``, and that accuse a gateway, each at most
 THRESHOLD = 3.0  # of normalised residuals
 TIE = 1e-6  # relative difference of normalised residuals that are equal in exact arithmetic
 # Omega_ii / R_ii below which a residual says nothing about its measurement: meters 1e6 times coarser leave as much.

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dsse_core.estimation.residuals import find_dead
+from dsse_core.estimation.residuals import FALSE_ALARMS, find_dead
 from dsse_core.gauss_newton import LAST_STEP, MOST_STEPS
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Control
@@ -40,7 +40,6 @@ POWERS = (KIND.P_INJECTION, KIND.Q_INJECTION, KIND.P_FLOW, KIND.Q_FLOW)
 MISTAKES: Mapping[float, str] = {-1.0: "sign", 1e-3: "unit, 1000 times too large", 1e3: "unit, 1000 times too small"}
 """Factor by which readings would have to be multiplied -> name of the mistake."""
 LOWEST_LOAD, HIGHEST_LOAD = 0.2, 1.5  # range of a load, in parts of its schedule
-FALSE_ALARMS = 1e-4  # largest share of scans in which correct readings are taken for a mistake
 THRESHOLD = math.log(len(MISTAKES) / FALSE_ALARMS)  # of the sum of log-likelihood ratios, see ``add_up``
 
 Received = Mapping[str, BoundaryInformation]

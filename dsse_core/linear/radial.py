@@ -32,9 +32,7 @@ from dsse_core.radial.plan import N_SLOT, N_VOLTAGE_SLOT, lay_out_radial, plan_t
 if TYPE_CHECKING:
     from dsse_core.radial.tree import Tree
 
-ANGLE_HELD = 1e6  # weight of the reference's angle, rad^-2, small enough to keep the digits of other information
 LEAST_OF_FLOW = 1e-12  # information given to powers through branches that nothing determines yet
-LEAST_OF_POWER = 1e-11  # the same of powers into children
 # Determinant of a covariance of (p, q) over the product of its diagonal. Below it one combination of p and q is known
 # so much better than the other that its digits are lost in the entries of the covariance.
 LEAST_SPREAD = 1e-5
@@ -119,8 +117,8 @@ class RadialSolver(LinearArea):
         t = self._tree_from(neighbour.bus, x)
         if is_away:
             i = self._number_of(t, self._reference)
-            t.z[i, 0], t.w[i, 0] = x[t.plan.order[i]], ANGLE_HELD
-        if not self._pass(t, x, received, (0.0, LEAST_OF_POWER), LEAST_OF_FLOW, addressee=neighbour.area):
+            t.z[i, 0], t.w[i, 0] = x[t.plan.order[i]], 1 / NOT_YET  # 1e2 to 1e11 lead to the same
+        if not self._pass(t, x, received, (0.0, NOT_YET_OF_POWER), LEAST_OF_FLOW, addressee=neighbour.area):
             return None
         K, vm = t.work.above[0], abs(t.v[0])
         describe_root(t.plan.admittance[0], t.z[0], t.w[0], t.v[0], t.va[0], K, angle_given, not neighbour.is_parent)
@@ -264,11 +262,12 @@ class RadialSolver(LinearArea):
 def _with_own_balance(
     S: np.ndarray, slope: np.ndarray, mean: np.ndarray, M: np.ndarray, g: np.ndarray, metered: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The power into a child by the balance of its bus, where that is ``metered``, with LEAST_OF_POWER as information.
+    """The power into a child by the balance of its bus, where that is ``metered``.
 
-    Returns covariance, slope by (vm, va), mean of the change, and the information about the voltage.
+    NOT_YET_OF_POWER is added as information. Returns covariance, slope by (vm, va), mean of the change, and the
+    information about the voltage.
     """
-    d = LEAST_OF_POWER
+    d = NOT_YET_OF_POWER
     S = np.where(metered[:, None] & metered, S, 0.0)
     slope, mean = np.where(metered[:, None], slope, 0.0), np.where(metered, mean, 0.0)
     share = np.linalg.inv(np.eye(2) + d * S)  # symmetric with S, and S share too

@@ -48,12 +48,11 @@ from agents.protocol.scan_end import ScanEnd
 from agents.strategies.interface import Estimate
 from dsse_core.estimation.decision import STEPS_USED_UP, Totals
 from dsse_core.estimation.decision import UNOBSERVABLE as NOT_OBSERVABLE
-from dsse_core.estimation.residuals import chi_square_limit
+from dsse_core.estimation.residuals import FALSE_ALARMS, chi_square_limit
 from dsse_core.exchange.area_estimation import FAILURES
 from dsse_core.grid.boundary import Kind
 from dsse_core.split_identity import SplitUse
 
-CONTRADICTION = 0.9999  # confidence of the chi-square test of the shown state; bad data are looked for at a lower one
 MISMATCH = 1e-6  # p.u. and rad, between the final voltages of the two sides of a boundary; rounding leaves 1e-8
 
 
@@ -351,5 +350,5 @@ class RoundsState:
 
 
 def _exceeds_limit(totals: Totals) -> bool:
-    """True where J at the end exceeds the limit that noise alone exceeds in one of ten thousand scans."""
-    return totals.objective >= chi_square_limit(totals.degrees_of_freedom, CONTRADICTION)
+    """True where J at the end exceeds the limit that noise alone exceeds in the share FALSE_ALARMS of all scans."""
+    return totals.objective >= chi_square_limit(totals.degrees_of_freedom, 1 - FALSE_ALARMS)
