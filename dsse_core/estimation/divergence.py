@@ -75,8 +75,7 @@ def _find_distance(rest: EstimationResult, plan: EstimationPlan, row: int, value
     """|z - h(x)| / sqrt(sigma^2 + H P H') of a meter that is not in the estimate ``rest`` with covariance P."""
     model = build_measurement_model(plan.network, build_admittance(plan.network), [plan.meters[row]])
     x = np.concatenate([rest.va, rest.vm])
-    H = model.jacobian(x)[:, rest.free].toarray().T
-    variance = float((H.T @ rest.factor.covariance_times(H))[0, 0])
+    variance = float(rest.linear.covariance(x, {}, model.jacobian(x).toarray())[0, 0])
     error = float(model.subtract(np.array([value]), model.predict(x))[0])
     return abs(error) / float(np.hypot(sigma, np.sqrt(max(variance, 0.0))))
 

@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.estimation.decision import IterationLostError, Memory
+from dsse_core.estimation.decision import (
+    DIVERGED,
+    Decision,
+    IterationLostError,
+    Memory,
+    Totals,
+    Verdict,
+    begin_at_flat_start,
+    decide,
+)
 from dsse_core.estimation.divergence import explain_divergence
 from dsse_core.estimation.plan import BackendChoice, EstimationPlan, build_estimation_plan
 from dsse_core.estimation.radial import estimate_radial
 from dsse_core.estimation.result import EstimationResult
-from dsse_core.estimation.sparse import estimate_sparse
-from dsse_core.gauss_newton import LAST_STEP
+from dsse_core.gauss_newton import LARGEST_STEP, LAST_STEP, Solution
 from dsse_core.grid.columns import read_column
 from dsse_core.grid.measurement import Measurement, are_usable, check_measurements, check_readings, read_numbers
 from dsse_core.grid.meter_table import find_virtual, read_meters_of
 from dsse_core.grid.network import Network
+from dsse_core.linear.area_measurements import NO_ROWS
+from dsse_core.linear.rows import TableauSolver
 from dsse_core.row_threads import find_threads
 
+SMALL_STEP = 0.02  # p.u. and rad; after a smaller one the last factor may serve once more
 NO_MEMORY = Memory()
 
 
@@ -119,7 +131,7 @@ def iterate_with_plan(
         sigmas[plan.virtual] = 0.0
         if not _are_usable(values, sigmas, plan.virtual):
             check_readings(plan.network, plan.meters, values, sigmas)
-        memory, found = estimate_sparse(plan.sparse, values, sigmas, *options)
+        memory, found = _estimate_as_area(plan, values, sigmas, *options)
     else:
         memory, found = estimate_radial(plan.radial, plan.virtual, values, sigmas, *options, find_threads(threads))
     return EstimationResult(plan, values, sigmas, memory, *found)
@@ -136,3 +148,125 @@ def _read_start(plan: EstimationPlan, vm: np.ndarray, va: np.ndarray) -> tuple[n
 
 def _are_usable(values: np.ndarray, sigmas: np.ndarray, virtual: np.ndarray) -> bool:
     return bool(np.isfinite(values).all() and np.where(virtual, values == 0.0, are_usable(sigmas)).all())
+
+
+def _estimate_as_area(
+    plan: EstimationPlan,
+    values: np.ndarray,
+    sigmas: np.ndarray,
+    start: tuple[np.ndarray, np.ndarray] | None,
+    tolerance: float,
+    memory: Memory,
+) -> tuple[Memory, Solution]:
+    """Memory and solution of a scan: Gauss-Newton until the verdict is ``FINAL`` or ``EVALUATE``.
+
+    ``sigmas`` (n_meas,) are 0 where a reading holds exactly.
+
+    Raises:
+        IterationLostError: the iteration has no end.
+    """
+    grid, removed = WholeGrid(plan.sparse, values, sigmas, None if memory.from_flat_start else start), memory.removed
+    while True:
+        memory, verdict = decide(memory, grid.totals(), tolerance)
+        if verdict.reason or memory.removed != removed:  # the plan's meters have no estimate
+            raise grid.diverged(verdict.reason)
+        grid.carry_out(verdict)
+        if verdict.decision not in (Decision.EVALUATE, Decision.FINAL):
+            continue
+        if not grid.is_lost:
+            return memory, grid.solution()
+        if memory.from_flat_start:
+            raise grid.diverged()
+        memory = begin_at_flat_start(memory)
+        grid.carry_out(Verdict(Decision.ANEW))
+
+
+class WholeGrid:
+    """The whole grid as one area without neighbours: states its totals, and carries out verdicts.
+
+    ``x``: the state x_k = [va; vm], (2 n_bus,), p.u. and rad.
+    """
+
+    def __init__(
+        self,
+        linear: TableauSolver,
+        values: np.ndarray,
+        sigmas: np.ndarray,
+        start: tuple[np.ndarray, np.ndarray] | None,
+    ) -> None:
+        self._of_meters, self._values, self._sigmas = linear, values, sigmas
+        self._weight = np.divide(1.0, sigmas, out=np.zeros(len(sigmas)), where=sigmas > 0)
+        self._begin(linear.flat if start is None else np.concatenate([start[1], start[0]]))
+
+    def _begin(self, x: np.ndarray) -> None:
+        self.x = self._before = x
+        self._steps = 0
+        self._read(self._of_meters.model.currents)
+
+    def _read(self, held_back: np.ndarray) -> None:
+        """Takes all readings but those ``held_back`` into use; the last step is forgotten."""
+        self._linear = self._of_meters.with_values(self._values, self._sigmas, held_back)
+        self._step, self._size = np.zeros(len(self.x)), (0.0, 0.0)  # its largest entries, dva and dvm
+
+    @property
+    def is_lost(self) -> bool:
+        """True where the last step has led to no state, or no step could be solved for."""
+        return not max(self._size) <= LARGEST_STEP
+
+    def totals(self) -> Totals:
+        dva, dvm = self._size
+        model, rows = self._linear.model, self._linear.rows
+        held_back = len(model.held_back)
+        return Totals(
+            objective=np.inf if self.is_lost else self._find_objective(model.residual_of(rows.predict(self.x))),
+            degrees_of_freedom=len(self._values) - held_back - len(model.free),
+            dvm=dvm,
+            dva=dva,
+            held_back=held_back,
+            areas=1,
+            referenced=True,
+        )
+
+    def _find_objective(self, r: np.ndarray) -> float:
+        """J of residuals r, (n_meas,); readings that hold exactly do not count."""
+        weighted = r * self._weight
+        return float(weighted @ weighted)
+
+    def carry_out(self, verdict: Verdict) -> None:
+        if verdict.takes_step:
+            self._take_step(verdict.share)
+        match verdict.decision:
+            case Decision.SHORTEN:
+                self.x = self._before + verdict.share * self._step
+                self._read(self._linear.model.held_back)
+            case Decision.USE_CURRENTS:
+                self._read(NO_ROWS)
+            case Decision.ANEW:
+                self._begin(self._of_meters.flat)
+
+    def _take_step(self, share: float) -> None:
+        self._steps, self._before = self._steps + 1, self.x
+        try:
+            self._step = self._linear.step(self.x, {}, nearby=max(self._size) < SMALL_STEP)
+        except RuntimeError:  # SuperLU: singular away from the no-load state, where the rank was full
+            self._size = np.inf, np.inf
+            return
+        size, n = abs(self._step), len(self.x) // 2
+        self._size = float(size[:n].max()), float(size[n:].max())
+        if not math.isfinite(sum(self._size)):
+            self._size = np.inf, np.inf
+        self.x = self.x + share * self._step
+
+    def solution(self) -> Solution:
+        va, vm = np.split(self.x, 2)
+        r = self._find_residual(self.x)
+        return vm, va, r, self._find_objective(r), self._steps
+
+    def _find_residual(self, x: np.ndarray) -> np.ndarray:
+        """z - h(x) of all meters, (n_meas,)."""
+        return self._linear.model.model.subtract(self._values, self._linear.rows.predict_alone(x))
+
+    def diverged(self, reason: str = DIVERGED) -> IterationLostError:
+        """The error for an iteration that has stopped here."""
+        weighted = abs(self._find_residual(self._before)) * self._weight
+        return IterationLostError(self._steps, max(self._size), weighted, reason)

@@ -10,11 +10,12 @@ from typing import Literal, get_args
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.estimation.sparse import SparsePlan, build_sparse_plan
 from dsse_core.grid.columns import Records, take_items
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.meter_table import find_virtual
 from dsse_core.grid.network import Network
+from dsse_core.linear.area_model import build_whole_grid
+from dsse_core.linear.rows import TableauSolver
 from dsse_core.observability import find_indispensable_rows, find_reference
 from dsse_core.radial.plan import RadialPlan, build_radial_plan, drop_meters
 
@@ -45,9 +46,9 @@ class EstimationPlan:
         return "sparse" if isinstance(self.radial, str) else "radial"
 
     @cached_property
-    def sparse(self) -> SparsePlan:
-        """Plan of the sparse back end; where the back end is radial, for what that does not compute."""
-        return build_sparse_plan(self.network, self.meters, self.reference)
+    def sparse(self) -> TableauSolver:
+        """The grid as one area on sparse matrices; where the back end is radial, for what that does not compute."""
+        return build_whole_grid(self.network, self.meters, self.reference)
 
     @cached_property
     def virtual(self) -> np.ndarray:

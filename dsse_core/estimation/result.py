@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 
 from dsse_core.estimation.decision import Memory
 from dsse_core.estimation.plan import Backend, EstimationPlan
 from dsse_core.estimation.radial import RadialInverse, find_radial_variances, invert_radial
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.network import Network
-from dsse_core.matrices.augmented import AugmentedFactor
+from dsse_core.linear.rows import TableauSolver
 
 
 @dataclass(frozen=True, repr=False)
@@ -63,42 +62,32 @@ class EstimationResult:
     def degrees_of_freedom(self) -> int:
         return self.plan.degrees_of_freedom
 
-    @property
-    def free(self) -> np.ndarray:
-        """The unknown entries of x = [va; vm]: all but the reference angle."""
-        return self.plan.sparse.free
-
     @cached_property
     def measurements(self) -> tuple[Measurement, ...]:
         readings = zip(self.plan.meters, self.values.tolist(), self.sigmas.tolist(), strict=True)
         return tuple(Measurement(meter, value, sigma) for meter, value, sigma in readings)
 
     @cached_property
-    def jacobian(self) -> sp.csr_array:
-        """H(x), columns ``free``."""
-        return self.plan.sparse.linearize(np.concatenate([self.va, self.vm]))[1]
+    def _x(self) -> np.ndarray:
+        return np.concatenate([self.va, self.vm])
 
     @cached_property
-    def factor(self) -> AugmentedFactor:
-        return self.plan.sparse.factor(self.jacobian, self.sigmas)
+    def linear(self) -> TableauSolver:
+        """The grid as one area on sparse matrices, with these readings."""
+        return self.plan.sparse.with_values(self.values, self.sigmas)
 
     def state_covariance(self, rows: Sequence[int]) -> np.ndarray:
         """Covariance of the entries ``rows`` of x = [va; vm], shape (k, k); 0 for the reference angle."""
-        position = {int(row): k for k, row in enumerate(self.free)}
-        unit = np.zeros((len(self.free), len(rows)))
-        for column, row in enumerate(rows):
-            if row in position:
-                unit[position[row], column] = 1.0
-        covariance: np.ndarray = unit.T @ self.factor.covariance_times(unit)
-        return covariance
+        B = np.zeros((len(rows), len(self._x)))
+        B[np.arange(len(rows)), rows] = 1.0
+        return self.linear.covariance(self._x, {}, B)
 
     def state_sigma(self) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations (sigma_vm, sigma_va) of all buses, p.u. and rad; nan where they would take too long."""
         if (of_radial := self._radial_variances) is not None:
             variance = of_radial[0]
         else:
-            variance = np.zeros(2 * len(self.vm))
-            variance[self.free] = self.factor.state_variance(limited=True)
+            variance = self.linear.variance_of_state(self._x, {})
         sigma_va, sigma_vm = np.split(np.sqrt(np.maximum(variance, 0.0)), 2)
         return sigma_vm, sigma_va
 
@@ -111,10 +100,7 @@ class EstimationResult:
         """
         if (of_radial := self._radial_variances) is not None:
             return of_radial[1]
-        exact = self.sigmas == 0
-        weighted = np.where(exact, 0.0, abs(self.residual) / np.where(exact, 1.0, self.sigmas))
-        found = self.factor.residual_variance(np.argsort(-weighted, kind="stable"))
-        return np.where(exact, 0.0, found)
+        return self.linear.variance_of_residuals(self._x, {})
 
     @cached_property
     def radial_inverse(self) -> RadialInverse:

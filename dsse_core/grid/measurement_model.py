@@ -54,7 +54,13 @@ class MeasurementModel:
         return self.linearize(x)[1]
 
     def linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
-        """h(x) and H(x) at once.
+        """h(x) and H(x) at once."""
+        h, data = self.linearize_entries(x)
+        _, indices, indptr = self._pattern
+        return h, sp.csr_array((data, indices, indptr), shape=(len(self.kinds), 2 * self.y.shape[1]))
+
+    def linearize_entries(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """h(x) and the stored entries of H(x), whose places are the same for every x.
 
         Every meter's ``dh = Re(a dv)`` with ``a = of_u C + of_i Y``: ``ds = conj(i) du + u conj(di)`` and
         ``Re(u conj(di)) = Re(conj(u) di)``, ``d|i| = Re(conj(i) di) / |i|``, ``d|u| = Re(conj(u) du) / |u|``,
@@ -64,9 +70,7 @@ class MeasurementModel:
         of_u, of_i = self.weigh(u, i)
         row, column = self.meter_row, self.y.indices
         along = (of_u[row] * self.at_bus + of_i[row] * self.y.data) * phase[column]
-        order, indices, indptr = self._pattern
-        data = np.concatenate([-along.imag * vm[column], along.real])[order]
-        return self.read(u, i), sp.csr_array((data, indices, indptr), shape=(len(self.kinds), 2 * self.y.shape[1]))
+        return self.read(u, i), np.concatenate([-along.imag * vm[column], along.real])[self._pattern[0]]
 
     def linearize_compiled(self, x: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """h(x) and the entries of H(x) at ``places``, see ``places_of``, by compiled code: needs numba."""

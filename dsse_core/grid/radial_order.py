@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,20 +65,10 @@ def describe_no_tree(n_bus: int, n_branch: int, reached: int, root: int) -> str:
 
 
 @dataclass(frozen=True)
-class TableauPlaces:
-    """The places of a tableau's rows in the order of elimination, as ascending numbers: of each meter, (n_meas,), and
-    of the voltages of each bus, by rows, (n_bus,).
-    """
-
-    of_meter: np.ndarray
-    of_bus: np.ndarray
-
-
-@dataclass(frozen=True)
 class TableauOrder:
-    """An order of elimination. ``rows`` (n_meas + n_free,): the tableau's rows in that order. ``fills_in``: whether the
-    factor is fuller than the tableau, so that pivots must not be moved far. ``blocks`` (n_meas + n_free,): the place of
-    the bus that each of these rows belongs to, in a tree; None with loops.
+    """An order of elimination. ``rows`` (n_row + n_column,): the tableau's rows in that order. ``fills_in``: whether
+    the factor is fuller than the tableau, so that pivots must not be moved far. ``blocks`` (n_row + n_column,): the
+    place of the bus that each of these rows belongs to, in a tree; None with loops.
     """
 
     rows: np.ndarray
@@ -86,43 +77,68 @@ class TableauOrder:
 
 
 def order_tableau(
-    network: Network, reference: int, model: MeasurementModel, free: np.ndarray, n_read: int = 0
+    network: Network,
+    root: int,
+    model: MeasurementModel,
+    free: np.ndarray,
+    *,
+    powers: Sequence[int] = (),
+    others: sp.csr_array | None = None,
+    read: MeasurementModel | None = None,
 ) -> TableauOrder:
-    """The order of the tableau [meters; state variables ``free``]; see ``place_tableau``.
+    """The order of the tableau [meters, other rows, read meters; columns ``free``, readings of the read meters].
 
-    ``n_read``: number of the last meters, whose readings are further unknowns, after the voltages.
-    """
-    tree = find_tree(network, reference)
-    has_loops = isinstance(tree, str)
-    places = place_tableau(order_buses(network), model) if isinstance(tree, str) else place_in_tree(tree, model)
-    at_branch = np.isin(model.kinds, _AT_BRANCHES)
-    of_meter = np.where(at_branch, places.of_meter, places.of_bus[model.bus_row])
-    read = of_meter[len(of_meter) - n_read :]
-    of_free = np.concatenate([places.of_bus[free % len(places.of_bus)], read - read % 3 + 2])
-    rows = np.argsort(np.concatenate([places.of_meter, of_free]), kind="stable")
-    if has_loops:
-        return TableauOrder(rows, has_loops, None)
-    return TableauOrder(rows, has_loops, np.concatenate([of_meter, of_free])[rows] // 3)
-
-
-def place_in_tree(tree: Tree, model: MeasurementModel) -> TableauPlaces:
-    """``place_tableau`` from the leaves to the root."""
-    place = np.empty(len(tree.order), dtype=np.int64)
-    place[tree.order[::-1]] = np.arange(len(place))
-    return place_tableau(place, model)
-
-
-def place_tableau(place: np.ndarray, model: MeasurementModel) -> TableauPlaces:
-    """The places of a tableau's rows where buses come at ``place`` (n_bus,), one after another.
-
-    Inside a bus: its injections, the other meters there and on branches to buses that follow, then its voltage.
+    Buses come one after another: from the leaves of a tree to ``root``; with loops as ``order_buses`` says. Inside a
+    bus: its injections, the other meters there and on branches to buses that follow, then its voltage.
     An injection joins the multipliers of a bus to the voltages of its neighbours and no others, so that the tableau, in
     blocks of a bus, has the pattern of the network: a tree is eliminated from the leaves to the root.
+
+    Args:
+        free: positions in x = [va; vm; powers] of the columns.
+        powers: the rows of the buses of these powers.
+        others: further rows in the columns ``free``; each comes just before the last of its columns.
+        read: meters whose readings are further columns, beside the voltages of their bus.
     """
+    tree, n = find_tree(network, root), len(network.table.bus_id)
+    if has_loops := isinstance(tree, str):
+        place = order_buses(network)
+    else:
+        place = np.empty(n, dtype=np.int64)
+        place[tree.order[::-1]] = np.arange(n)
+    of_voltages = 3 * place + 2
+    of_columns = np.concatenate([of_voltages, of_voltages, of_voltages[np.array(powers, dtype=int)]])[free]
+    of_rows = [_place_meters(place, model)]
+    owners = [_find_owners(place, model, of_rows[0])]
+    if others is not None:
+        of_rows.append(_place_others(others, of_columns))
+        owners.append(of_rows[-1] // 3)
+    if read is not None:
+        of_rows.append(_place_meters(place, read))
+        owners.append(_find_owners(place, read, of_rows[-1]))
+        of_columns = np.concatenate([of_columns, 3 * owners[-1] + 2])
+    rows = np.argsort(np.concatenate([*of_rows, of_columns]), kind="stable")
+    blocks = None if has_loops else np.concatenate([*owners, of_columns // 3])[rows]
+    return TableauOrder(rows, has_loops, blocks)
+
+
+def _place_meters(place: np.ndarray, model: MeasurementModel) -> np.ndarray:
+    """The place of each meter, (n_meas,), where the voltages of buses have 3 ``place`` + 2."""
     injections = np.isin(model.kinds, _INJECTIONS)
     outermost = np.minimum.reduceat(place[model.y.indices], model.y.indptr[:-1]) if len(injections) else injections
-    of_meter = np.where(injections, 3 * place[model.bus_row], 3 * outermost + 1)
-    return TableauPlaces(of_meter, 3 * place + 2)
+    return np.where(injections, 3 * place[model.bus_row], 3 * outermost + 1)
+
+
+def _find_owners(place: np.ndarray, model: MeasurementModel, of_meter: np.ndarray) -> np.ndarray:
+    """The place of the bus that each meter belongs to, (n_meas,): on a branch the bus that comes first."""
+    at_branch = np.isin(model.kinds, _AT_BRANCHES)
+    return np.where(at_branch, of_meter // 3, place[model.bus_row])
+
+
+def _place_others(others: sp.csr_array, of_columns: np.ndarray) -> np.ndarray:
+    found, is_given = np.zeros(others.shape[0], dtype=np.int64), np.diff(others.indptr) > 0
+    if is_given.any():
+        found[is_given] = np.maximum.reduceat(of_columns[others.indices], others.indptr[:-1][is_given]) - 1
+    return found
 
 
 def order_buses(network: Network) -> np.ndarray:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,9 +14,11 @@ import scipy.sparse as sp
 from dsse_core.grid.boundary import Boundary, Kind, Variable
 from dsse_core.grid.measurement import MeasurementKind, Meter, Source
 from dsse_core.grid.measurement_model import MeasurementModel
+from dsse_core.grid.meter_table import find_virtual
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear.contributions import Contribution, FurtherRows, Method, least_squares
 
+NO_ROWS = np.zeros(0, dtype=np.int64)
 Backend = Literal["auto", "radial", "sparse", "dense"]
 
 
@@ -25,6 +29,9 @@ class AreaMeasurements:
     ``free``: the variables that are unknown, all but a reference angle. ``backend``: see ``linear.choose_backend``.
     ``method``: the weights that follow from residuals and sigmas. ``further``: rows beside those of the meters, such
     as voltages that count as read where neighbours or readings are missing.
+
+    ``flat``: x of the flat start of a whole grid whose meters determine its state. There nothing is damped, and virtual
+    measurements hold exactly. ``held_back``: rows of measurements that do not count yet.
     """
 
     area: Area
@@ -34,16 +41,24 @@ class AreaMeasurements:
     z: np.ndarray
     sigma: np.ndarray
     free: np.ndarray
-    meters: tuple[Meter, ...]
+    meters: Sequence[Meter]
     reference: int | None
     backend: Backend = "auto"
     method: Method = least_squares
     further: tuple[FurtherRows, ...] = ()
+    flat: np.ndarray | None = None
+    held_back: np.ndarray = field(default_factory=lambda: NO_ROWS)
+
+    def with_values(self, z: np.ndarray, sigma: np.ndarray, **changed: object) -> Self:
+        """Other readings of the same meters; keeps all that is found already."""
+        other = copy.copy(self)
+        other.__dict__.update(z=z, sigma=sigma, **changed)
+        return other
 
     @cached_property
     def virtual(self) -> np.ndarray:
         """True for virtual measurements, shape (n_meas,)."""
-        return np.array([meter.source is Source.VIRTUAL for meter in self.meters], dtype=bool)
+        return find_virtual(self.meters)
 
     @cached_property
     def exact(self) -> np.ndarray:
@@ -78,6 +93,11 @@ class AreaMeasurements:
         return self.model.kinds
 
     @cached_property
+    def currents(self) -> np.ndarray:
+        """Rows of current magnitudes."""
+        return np.flatnonzero(self.kinds == MeasurementKind.CURRENT)
+
+    @cached_property
     def angles(self) -> np.ndarray:
         """Rows of angle meters."""
         return np.flatnonzero(self.kinds == MeasurementKind.VA)
@@ -99,8 +119,18 @@ class AreaMeasurements:
         return np.setdiff1d(np.arange(self.size), self.free)
 
     def residual_of(self, h: np.ndarray) -> np.ndarray:
-        """z - h, shape (n_meas,); angles wrapped to (-pi, pi]."""
-        return self.model.subtract(self.z, h)
+        """z - h, shape (n_meas,); angles wrapped to (-pi, pi], and 0 where a measurement does not count yet."""
+        r = self.model.subtract(self.z, h)
+        if self.held_back.size:
+            r[self.held_back] = 0.0
+        return r
+
+    def rows_where(self, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Right-hand side and sigma of the measurements' rows where h(x) is ``h``, (n_meas,) each."""
+        if self.method is least_squares:
+            return self.residual_of(h), self.sigma
+        own = self.contribution(h)
+        return own.residual + own.shift, own.weight**-0.5
 
     def contribution(self, h: np.ndarray) -> Contribution:
         """Contribution of the measurements where h(x) is ``h``, (n_meas,)."""

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 
-from dsse_core.grid.admittance import build_admittance
+from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.boundary import Kind
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.measurement_model import build_measurement_model
+from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear import Backend, LinearArea, Matrix, Rows, make_linear, make_rows
 from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import EXACT_SIGMA
 from dsse_core.linear.contributions import FurtherRows
+from dsse_core.linear.rows import TableauSolver
+from dsse_core.linear.sparse import SparseRows
 
 INJECTION = {Kind.P: MeasurementKind.P_INJECTION, Kind.Q: MeasurementKind.Q_INJECTION}
 
@@ -37,10 +39,9 @@ class AreaModel(AreaMeasurements):
 
     def with_readings(self, measurements: Sequence[Measurement], further: tuple[FurtherRows, ...] = ()) -> AreaModel:
         """Model of new readings of the same meters, with ``further`` rows; keeps the parts that rest on meters only."""
-        other = copy.copy(self)  # with all that is cached
         sigma = _sigmas_of(measurements)
         sigma = self.sigma if (sigma == self.sigma).all() else sigma
-        other.__dict__.update(z=_values_of(measurements), sigma=sigma, further=further)
+        other = self.with_values(_values_of(measurements), sigma, further=further)
         if other.couples_many != self.couples_many:
             other.end()
         if (linear := other.__dict__.get("linear")) is not None:
@@ -114,6 +115,27 @@ def build_area_model(
         reference=reference,
         backend=backend,
     )
+
+
+def build_whole_grid(network: Network, meters: Sequence[Meter], reference: int) -> TableauSolver:
+    """Numerics of a grid as one area without neighbours, whose ``meters`` fit the network and determine its state."""
+    admittance = build_admittance(network)
+    vm, va = flat_start(network, reference)
+    given = network.slack.va if network.slack and network.slack.bus == reference else 0.0
+    flat, nothing = np.concatenate([va + given, vm]), np.zeros(len(meters))
+    model = AreaMeasurements(
+        area=Area("", network, (), reference, None, (reference, given)),
+        model=build_measurement_model(network, admittance, meters),
+        into_children=sp.csr_array((len(meters), 0)),
+        into_area=None,
+        z=nothing,
+        sigma=nothing,
+        free=np.delete(np.arange(len(flat)), network.row[reference]),
+        meters=meters,
+        reference=reference,
+        flat=flat,
+    )
+    return TableauSolver(model, SparseRows(model), "sparse")
 
 
 def _values_of(measurements: Sequence[Measurement]) -> np.ndarray:

@@ -51,6 +51,7 @@ def make_linear(model: AreaMeasurements, rows: Rows) -> LinearArea:
     chosen = choose_backend(model.area, model.backend)
     if chosen == "dense":
         return ReducedSolver(model, rows, chosen)
+    assert isinstance(rows, SparseRows)  # by ``make_rows``
     by_rows = TableauSolver(model, rows, "sparse")
     return RadialSolver(model, by_rows) if chosen == "radial" else by_rows
 

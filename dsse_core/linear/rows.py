@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import copy
 from collections import Counter
-from typing import Self
+from typing import Self, cast
 
 import numpy as np
+import scipy.sparse as sp
 
 from dsse_core.grid.boundary import Kind
+from dsse_core.grid.measurement_model import MeasurementModel
 from dsse_core.grid.partition import Neighbour
-from dsse_core.linear.area_measurements import AreaMeasurements
+from dsse_core.linear.area_measurements import NO_ROWS, AreaMeasurements
 from dsse_core.linear.boundary_information import (
     NOTHING_OF_VOLTAGE,
     BoundaryInformation,
@@ -19,8 +21,8 @@ from dsse_core.linear.boundary_information import (
     put_together,
 )
 from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, LinearArea, Matrix, Received, Rows
-from dsse_core.linear.sparse import SparseRows
-from dsse_core.matrices.augmented import AugmentedFactor
+from dsse_core.linear.sparse import SparseRows, order_of
+from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
 
 MOST_TURNS = 4  # axes of (p, q) that are tried, the first ones included
 
@@ -47,44 +49,156 @@ class RowSolver(LinearArea):
     def stack(self, x: np.ndarray, received: Received) -> tuple[Matrix, np.ndarray, np.ndarray]:
         """H, residual and sigma of the area's own measurements, its further rows, and the messages ``received``."""
         rows, further = self.rows, [rows.at(x) for rows in self.model.further]
-        own = self.model.contribution(rows.predict(x))
+        own, of_own = self.model.rows_where(rows.predict(x))
         messages, of_messages = rows.messages(x, received)
-        r = np.concatenate([own.residual + own.shift, *(part.residual for part in further), *of_messages])
+        if not (further or messages):
+            return rows.jacobian(x), own, of_own
+        r = np.concatenate([own, *(part.residual for part in further), *of_messages])
         sigma = np.ones(len(r))
-        of_own = np.concatenate([own.weight**-0.5, *(part.sigma for part in further)])
+        of_own = np.concatenate([of_own, *(part.sigma for part in further)])
         sigma[: len(of_own)] = of_own
-        parts = [rows.jacobian(x), *(rows.take(part.H) for part in further), *messages]
-        return (rows.join(parts) if len(parts) > 1 else parts[0]), r, sigma
+        return rows.join([rows.jacobian(x), *(rows.take(part.H) for part in further), *messages]), r, sigma
 
 
 class TableauSolver(RowSolver):
-    """Solver by sparse factors of the augmented system, on ``SparseRows``."""
+    """Solver by sparse factors of the augmented system, on ``SparseRows``.
+
+    Where the meters of a whole grid determine its state, steps near the end are solved on the last factor, and compiled
+    factors take the pivots of the flat start.
+    """
 
     rows: SparseRows
 
     nothing_of_voltage = NOTHING_OF_VOLTAGE
 
-    def step(self, x: np.ndarray, received: Received, damping: float = 0.0) -> np.ndarray:
+    def __init__(self, model: AreaMeasurements, rows: SparseRows, name: str) -> None:
+        super().__init__(model, rows, name)
+        self._last: tuple[AugmentedFactor, np.ndarray] | None = None  # factor of the last step, and s of its solution
+        self._found: tuple[bytes, AugmentedFactor] | None = None  # x, and its factor for variances and covariances
+
+    def with_readings(self, model: AreaMeasurements) -> Self:
+        other = super().with_readings(model)
+        other._last = other._found = None
+        return other
+
+    def with_values(self, z: np.ndarray, sigma: np.ndarray, held_back: np.ndarray = NO_ROWS) -> Self:
+        """Solver for other readings of the same meters, with no memory of a last step."""
+        other = self.with_readings(self.model.with_values(z, sigma, held_back=held_back))
+        other.rows = copy.copy(self.rows)  # threads share a plan
+        return other
+
+    @property
+    def flat(self) -> np.ndarray:
+        """x of the flat start of a whole grid."""
+        assert self.model.flat is not None
+        return self.model.flat
+
+    @property
+    def is_compiled(self) -> bool:
+        """True where elimination is compiled."""
+        return self.rows.is_compiled
+
+    def least_information(self, columns: np.ndarray) -> np.ndarray:
+        return super().least_information(columns) if self.model.flat is None else np.zeros(len(columns))
+
+    def stack(self, x: np.ndarray, received: Received) -> tuple[sp.csr_array, np.ndarray, np.ndarray]:
+        H, r, sigma = super().stack(x, received)
+        H = cast("sp.csr_array", H)
+        return (without_rows(H, self.model.held_back) if self.model.held_back.size else H), r, sigma
+
+    def step(self, x: np.ndarray, received: Received, damping: float = 0.0, *, nearby: bool = False) -> np.ndarray:
+        """See ``LinearArea``; ``nearby``: the last step was so small that its factor may serve once more."""
         H, r, sigma = self.stack(x, received)
-        free = self.model.free
-        least = self.least_information(free)
-        if damping:
-            least = np.maximum(least, damping)
+        free, found = self.model.free, None
+        if nearby and self._last is not None:
+            factor, s = self._last
+            found = factor.solve_nearby(self.rows.structure(H, free).take(H), r, s)
+        if found is None:
+            least = self.least_information(free)
+            factor = self._factor_at(x, H, sigma, np.maximum(least, damping) if damping else least)
+            found = factor.solve(r, np.zeros(len(free)))
+        if self.model.flat is not None:
+            self._last = factor, found[0]
         dx = np.zeros(self.model.size)
-        dx[free] = self.rows.factor(H[:, free], sigma, least, free).solve(r, np.zeros(len(free)))[1]
+        dx[free] = found[1]
         return dx
 
+    def _factor_at(self, x: np.ndarray, H: sp.csr_array, sigma: np.ndarray, least: np.ndarray) -> AugmentedFactor:
+        """Factor of the rows H at x in the columns ``free``; at the flat start that which is kept.
+
+        Compiled factors use the pivots of the flat start for these sigmas if they serve, never those of an estimate
+        before: the same readings have the same estimate, to the bit.
+        """
+        model, rows, free = self.model, self.rows, self.model.free
+        is_flat = x is model.flat and len(model.held_back) == len(model.currents)
+        if model.flat is None or not (is_flat or rows.is_compiled):
+            return rows.factor(H, sigma, least, free)
+        key, kept = sigma.tobytes(), rows.kept.at_flat
+        if (found := kept.get(key)) is None:
+            H_flat = H if is_flat else without_rows(rows.jacobian(model.flat), model.currents)
+            found = rows.factor(H_flat, sigma, least, free)
+            kept.clear()
+            kept[key] = found
+        return found if is_flat else rows.factor(H, sigma, least, free, found)
+
     def variances(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, np.ndarray]:
-        H, _, sigma = self.stack(x, received)
-        factor = self.factor(H, sigma, self.model.free)
+        return self.variance_of_state(x, received), self.variance_of_residuals(x, received)
+
+    def variance_of_state(self, x: np.ndarray, received: Received) -> np.ndarray:
+        """diag(G^-1), shape (size,), see ``variances``; of a whole grid nan where it would take too long."""
         of_state = np.zeros(self.model.size)
-        of_state[self.model.free] = factor.state_variance()
-        return of_state, self.model.real_part(factor.residual_variance()[: len(self.model.z)])
+        factor = self._factor_of(x, received)
+        of_state[self.model.free] = factor.state_variance(limited=self.model.flat is not None)
+        return of_state
+
+    def variance_of_residuals(self, x: np.ndarray, received: Received) -> np.ndarray:
+        """diag(Omega), shape (n_meas,), see ``variances``.
+
+        In a whole grid with so many long loops that all would take too long, only those of the largest |r| / sigma are
+        found, and the others are nan.
+        """
+        model, wanted = self.model, None
+        if model.flat is not None:
+            r = abs(model.residual_of(self.rows.predict(x)))
+            wanted = np.argsort(-np.divide(r, model.sigma, out=np.zeros(len(r)), where=~model.virtual), kind="stable")
+        return model.real_part(self._factor_of(x, received).residual_variance(wanted)[: len(model.z)])
 
     def covariance(self, x: np.ndarray, received: Received, B: np.ndarray) -> np.ndarray:
-        H, _, sigma = self.stack(x, received)
         B = B[:, self.model.free]
-        return np.asarray(B @ self.factor(H, sigma, self.model.free).covariance_times(B.T))
+        return np.asarray(B @ self._factor_of(x, received).covariance_times(B.T))
+
+    def _factor_of(self, x: np.ndarray, received: Received) -> AugmentedFactor:
+        """Factor of all that is known of the state x; without messages found once for variances and covariances."""
+        at = x.tobytes()
+        if self._found is None or self._found[0] != at or received:
+            H, _, sigma = self.stack(x, received)
+            factor = self._factor_at(x, H, sigma, self.least_information(self.model.free))
+            if received:
+                return factor
+            self._found = at, factor
+        return self._found[1]
+
+    def factor_with(self, x: np.ndarray, received: Received, read: MeasurementModel) -> AugmentedFactor:
+        """Factor with the readings of perfect meters as further variables, after those in ``free``.
+
+        A reading y = h(x) joins the tableau with the constraint ``H_y dx - dy = 0``. Elimination then finds its
+        variance as that of a voltage, and not as a difference of large numbers. The other factors that are kept are
+        dropped, as this one needs more memory than they.
+        """
+        self._last = self._found = None
+        self.rows.kept.at_flat.clear()
+        H, _, sigma = self.stack(x, received)
+        free, n_read = self.model.free, len(read.kinds)
+        known, of_x = H[:, free], read.jacobian(x[: 2 * len(self.model.area.network.buses)])
+        of_x.resize(n_read, self.model.size)
+        of_y = sp.eye_array(H.shape[0] + n_read, n_read, k=-H.shape[0])
+        both = sp.csr_array(sp.hstack([sp.vstack([known, of_x[:, free]]), -of_y], format="csr"))
+        others = known[len(self.model.z) :] if H.shape[0] > len(self.model.z) else None
+        order, pattern = order_of(self.model, free, others, read), None
+        if order.blocks is not None:  # with loops minimum degree of the whole tableau fills in less
+            pattern = AugmentedPattern(both, order.rows, blocks=order.blocks)
+        least = np.concatenate([self.least_information(free), np.zeros(n_read)])
+        return AugmentedFactor(both, np.concatenate([sigma, np.zeros(n_read)]), least, pattern)
 
     def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
         """Information for ``neighbour``: every variable but y eliminated, the neighbour's own message left out.
@@ -115,7 +229,16 @@ class TableauSolver(RowSolver):
 
     def factor(self, H: Matrix, sigma: np.ndarray, columns: np.ndarray) -> AugmentedFactor:
         """Factor of the ``columns`` of H, with the damping of ``least_information``."""
-        return self.rows.factor(H[:, columns], sigma, self.least_information(columns), columns)
+        return self.rows.factor(H, sigma, self.least_information(columns), columns)
+
+
+def without_rows(H: sp.csr_array, rows: np.ndarray) -> sp.csr_array:
+    """H of the same pattern, with entries of 0 in some ``rows``."""
+    found = copy.copy(H)
+    found.data = H.data.copy()
+    for row in rows.tolist():
+        found.data[H.indptr[row] : H.indptr[row + 1]] = 0.0
+    return found
 
 
 def _find_power(

@@ -2,19 +2,74 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import cast
 
 import numpy as np
 import scipy.sparse as sp
 
+from dsse_core.grid.measurement_model import MeasurementModel
 from dsse_core.grid.partition import Neighbour
-from dsse_core.grid.radial_order import TableauPlaces, find_tree, place_in_tree
-from dsse_core.linear.area_measurements import AreaMeasurements
+from dsse_core.grid.radial_order import TableauOrder, order_tableau
+from dsse_core.linear.area_measurements import NO_ROWS, AreaMeasurements
 from dsse_core.linear.boundary_information import ROUNDING
 from dsse_core.linear.interface import Matrix, Received, Rows
 from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
+
+
+class Structure:
+    """Rows of one pattern in some ``columns``, and the order in which their tableau is eliminated."""
+
+    def __init__(self, area: AreaMeasurements, H: sp.csr_array, columns: np.ndarray) -> None:
+        self._indices, self._indptr = H.indices, H.indptr
+        place = np.full(H.shape[1], -1)
+        place[columns] = np.arange(len(columns))
+        self.entries = np.flatnonzero(place[H.indices] >= 0)
+        indices, indptr = place[H.indices[self.entries]], np.searchsorted(self.entries, H.indptr)
+        self._empty = sp.csr_array((H.data[self.entries], indices, indptr), shape=(H.shape[0], len(columns)))
+        others = self._empty[len(area.model.kinds) :] if H.shape[0] > len(area.model.kinds) else None
+        order = order_of(area, columns, others)
+        if area.flat is None:  # pivots are the largest, and with loops the order is that of SuperLU
+            self.pattern = AugmentedPattern(self._empty, None if order.fills_in else order.rows, careful=True)
+        else:
+            self.pattern = AugmentedPattern(self._empty, order.rows, fills_in=order.fills_in, blocks=order.blocks)
+
+    def fits(self, H: sp.csr_array) -> bool:
+        """True where H has this pattern."""
+        if H.indices is self._indices and H.indptr is self._indptr:
+            return True
+        return np.array_equal(H.indptr, self._indptr) and np.array_equal(H.indices, self._indices)
+
+    def take(self, H: sp.csr_array) -> sp.csr_array:
+        """The columns of H."""
+        taken = copy.copy(self._empty)  # a new one would have its indices checked each time
+        taken.data = H.data[self.entries]
+        return taken
+
+
+def order_of(
+    area: AreaMeasurements, columns: np.ndarray, others: sp.csr_array | None, read: MeasurementModel | None = None
+) -> TableauOrder:
+    """Order of the tableau of the area's meters, ``others`` and ``read`` in ``columns``; see ``order_tableau``."""
+    network = area.area.network
+    powers = [network.row[power.bus] for power in area.area.powers_into_children]
+    return order_tableau(network, area.area.entry_bus, area.model, columns, powers=powers, others=others, read=read)
+
+
+@dataclass
+class Kept:
+    """Parts that models of the same meters share: a structure for each set of columns; the first H, and the order of
+    its entries after those of the meters and of powers; h and H at the flat start, and the factor there for the last
+    sigmas, which most meters keep from scan to scan.
+    """
+
+    structures: dict[bytes, Structure] = field(default_factory=dict)
+    first: tuple[sp.csr_array, np.ndarray] | None = None
+    flat: tuple[np.ndarray, sp.csr_array] | None = None
+    at_flat: dict[bytes, AugmentedFactor] = field(default_factory=dict)
 
 
 class SparseRows(Rows):
@@ -23,26 +78,88 @@ class SparseRows(Rows):
     def __init__(self, area: AreaMeasurements) -> None:
         self._area = area
         self._n = len(area.area.network.buses)
-        self._at = b""  # the x of the numbers that are kept: steps, messages and variances ask for them in turn
-        self._h: np.ndarray | None = None
+        self.kept = Kept()
+        self._at = self._voltages_at = b""  # of the numbers that are kept: steps, messages and variances ask in turn
+        self._h = self._own = np.zeros(0)
         self._H: sp.csr_array | None = None
         self._boundaries: dict[str, tuple[np.ndarray, sp.csr_array]] = {}
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """See ``Rows``; the caller must not change the array."""
         self._move_to(x)
-        if self._h is None:
-            own = self._area.model.predict(x[: 2 * self._n])
-            self._h = np.asarray(own + self._area.into_children @ x[2 * self._n :])
         return self._h
 
     def jacobian(self, x: np.ndarray) -> sp.csr_array:
         """See ``Rows``; the caller must not change the array."""
         self._move_to(x)
-        if self._H is None:
-            own = self._area.model.jacobian(x[: 2 * self._n])
-            self._H = sp.csr_array(sp.hstack([own, self._area.into_children], format="csr"))
+        assert self._H is not None
         return self._H
+
+    def predict_alone(self, x: np.ndarray) -> np.ndarray:
+        """``predict`` at a state where nothing else is asked for."""
+        if x.tobytes() == self._at:
+            return self._h
+        model, voltages = self._area.model, x[: 2 * self._n]
+        h = model.linearize_compiled(voltages, NO_ROWS)[0] if self.is_compiled else model.predict(voltages)
+        return self._with_powers(h, x[2 * self._n :])
+
+    def _with_powers(self, own: np.ndarray, powers: np.ndarray) -> np.ndarray:
+        return np.asarray(own + self._area.into_children @ powers) if len(powers) else own
+
+    def _move_to(self, x: np.ndarray) -> None:
+        if (at := x.tobytes()) == self._at:
+            return
+        voltages, powers = x[: 2 * self._n], x[2 * self._n :]
+        if (voltages_at := voltages.tobytes()) != self._voltages_at:
+            self._own, self._H = self._linearize_at_flat() if x is self._area.flat else self._linearize(voltages)
+        self._h = self._with_powers(self._own, powers)
+        self._at, self._voltages_at, self._boundaries = at, voltages_at, {}
+
+    def _linearize(self, voltages: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
+        if self.is_compiled:
+            h, data = self._area.model.linearize_compiled(voltages, self._places)
+        else:
+            h, data = self._area.model.linearize_entries(voltages)
+        first, order = self.kept.first or self._find_first(voltages)
+        H = copy.copy(first)  # a new one would have its indices checked each time
+        H.data = np.concatenate([data, self._area.into_children.data])[order] if len(order) else data
+        return h, H
+
+    def _find_first(self, voltages: np.ndarray) -> tuple[sp.csr_array, np.ndarray]:
+        """H of this pattern, and the order of its entries; empty where there are no powers into children."""
+        H, into_children, order = self._area.model.jacobian(voltages), self._area.into_children, NO_ROWS
+        if into_children.shape[1]:
+            numbers = [copy.copy(H), copy.copy(into_children)]
+            numbers[0].data, numbers[1].data = np.split(np.arange(H.nnz + into_children.nnz), [H.nnz])
+            H = sp.csr_array(sp.hstack(numbers, format="csr"))
+            order = H.data
+        self.kept.first = H, order
+        return self.kept.first
+
+    def _linearize_at_flat(self) -> tuple[np.ndarray, sp.csr_array]:
+        if self.kept.flat is None:
+            assert self._area.flat is not None
+            H, _ = self._find_first(self._area.flat)
+            self.kept.flat = self._area.model.predict(self._area.flat), H
+        return self.kept.flat
+
+    @cached_property
+    def _places(self) -> np.ndarray:
+        return self._area.model.places_of(np.arange(self._linearize_at_flat()[1].nnz))
+
+    @cached_property
+    def is_compiled(self) -> bool:
+        """True where elimination is compiled, as it may be for a whole grid."""
+        area = self._area
+        return area.flat is not None and self.structure(self._linearize_at_flat()[1], area.free).pattern.is_compiled
+
+    def structure(self, H: sp.csr_array, columns: np.ndarray) -> Structure:
+        """Structure of the ``columns`` of H, all rows of the area; the last one of the same columns is kept."""
+        key = columns.tobytes()
+        found = self.kept.structures.get(key)
+        if found is None or not found.fits(H):
+            self.kept.structures[key] = found = Structure(self._area, H, columns)
+        return found
 
     def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, sp.csr_array]:
         """See ``Rows``; the caller must not change the array."""
@@ -50,10 +167,6 @@ class SparseRows(Rows):
         if neighbour.area not in self._boundaries:
             self._boundaries[neighbour.area] = self._find_boundary(x, neighbour)
         return self._boundaries[neighbour.area]
-
-    def _move_to(self, x: np.ndarray) -> None:
-        if (at := x.tobytes()) != self._at:
-            self._at, self._h, self._H, self._boundaries = at, None, None, {}
 
     def _find_boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, sp.csr_array]:
         columns = self._area.boundary_columns(neighbour)
@@ -137,43 +250,22 @@ class SparseRows(Rows):
         return sp.csr_array((np.where(size > ROUNDING * largest[row], H.data, 0.0), H.indices, H.indptr), shape=H.shape)
 
     def factor(
-        self, H: Matrix, sigma: np.ndarray, damping: np.ndarray, columns: np.ndarray | None = None
+        self,
+        H: Matrix,
+        sigma: np.ndarray,
+        damping: float | np.ndarray,
+        columns: np.ndarray | None = None,
+        nearby: AugmentedFactor | None = None,
     ) -> AugmentedFactor:
-        """Factor of the augmented system of ``H``.
+        """Factor of the augmented system of H, or of some ``columns`` of it, whose structure is kept.
 
-        Where ``columns`` are given and the area is a tree, elimination goes from the buses far from the parent to the
-        parent's bus, which takes a third of the time.
+        ``nearby``: a factor whose pivots may serve.
         """
-        H, order = sp.csr_array(H), None
-        if columns is not None and self._places is not None:
-            of_columns = self._place_columns[columns]
-            of_rows = np.concatenate([self._places.of_meter, self._place_others(H, of_columns)])
-            order = np.argsort(np.concatenate([of_rows, of_columns]), kind="stable")
-        return AugmentedFactor(H, sigma, damping, AugmentedPattern(H, order, careful=True))
-
-    @cached_property
-    def _places(self) -> TableauPlaces | None:
-        """Places of buses and meters in the order of elimination; None where the area has loops."""
-        network, entry = self._area.area.network, self._area.area.entry_bus
-        tree = find_tree(network, entry)
-        return None if isinstance(tree, str) else place_in_tree(tree, self._area.model)
-
-    @cached_property
-    def _place_columns(self) -> np.ndarray:
-        """Place of each variable, shape (size,); the power into a child has that of the voltages of its bus."""
-        assert self._places is not None
-        area, of_bus = self._area.area, self._places.of_bus
-        of_powers = [area.network.row[power.bus] for power in area.powers_into_children]
-        return np.concatenate([of_bus, of_bus, of_bus[np.array(of_powers, dtype=int)]])
-
-    def _place_others(self, H: sp.csr_array, of_columns: np.ndarray) -> np.ndarray:
-        """Place of each row after the meters', of further rows and messages: just before the last of its variables."""
-        first = H.indptr[len(self._area.meters) :]
-        found, is_given = np.zeros(len(first) - 1, dtype=np.int64), np.diff(first) > 0
-        if is_given.any():
-            last = np.maximum.reduceat(of_columns[H.indices[first[0] :]], first[:-1][is_given] - first[0])
-            found[is_given] = last - 1
-        return found
+        H = cast("sp.csr_array", H)
+        if columns is None:
+            return AugmentedFactor(H, sigma, damping, AugmentedPattern(H, careful=True))
+        structure = self.structure(H, columns)
+        return AugmentedFactor(structure.take(H), sigma, damping, structure.pattern, nearby)
 
     def full(self, C: Matrix) -> np.ndarray:
         return np.asarray(cast("sp.csr_array", C).toarray())

@@ -111,7 +111,7 @@ def estimate_centralised(scenario: Scenario, telemetry: Telemetry, plan: Estimat
         from agents.runtime.warm_up import warm_up_estimate  # not needed by most runs
 
         warm_up_estimate()
-    if plan.backend == "sparse" and plan.sparse.pattern.is_compiled and not has_whole("sparse"):
+    if plan.backend == "sparse" and plan.sparse.is_compiled and not has_whole("sparse"):
         from agents.runtime.warm_up import warm_up_sparse
 
         warm_up_sparse()

@@ -1,8 +1,4 @@
-"""Covariances of quantities that follow from the state, on sparse matrices: each is a state variable of its own.
-
-A power y = h(x) joins the tableau as an unknown with the constraint ``H_y dx - dy = 0``. Elimination then finds its
-variance as that of a voltage, and not as a difference of large numbers.
-"""
+"""Covariances of quantities that follow from the state, on sparse matrices: readings of perfect meters."""
 
 from __future__ import annotations
 
@@ -15,10 +11,8 @@ from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.measurement_model import build_measurement_model
-from dsse_core.grid.meter_table import KINDS, NO_BRANCH, join_meters, make_meters, tabulate_meters
+from dsse_core.grid.meter_table import KINDS, NO_BRANCH, make_meters, tabulate_meters
 from dsse_core.grid.network import Network
-from dsse_core.grid.radial_order import order_tableau
-from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
 
 FLOWS = (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW)
 INJECTIONS = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
@@ -34,12 +28,13 @@ class SparseDeviations:
         self._result, self._active = result, network.table.active
         self._metered = _metered_injections(result)
         self._unmetered = np.argwhere(np.isnan(self._metered))
-        self._factor = _extended_factor(result, _meters_of(network, self._unmetered))
-        position = np.full(2 * n, -1)
-        position[result.free] = np.arange(len(result.free))
+        read = build_measurement_model(network, build_admittance(network), _meters_of(network, self._unmetered))
+        self._factor = result.linear.factor_with(np.concatenate([result.va, result.vm]), {}, read)
+        position, free = np.full(2 * n, -1), result.linear.model.free
+        position[free] = np.arange(len(free))
         self._of_vm = position[n:]
-        self._of_p = len(result.free) + np.arange(len(self._active))
-        self._first_injection = len(result.free) + 2 * len(self._active)
+        self._of_p = len(free) + np.arange(len(self._active))
+        self._first_injection = len(free) + 2 * len(self._active)
         self._rows_from = network.table.f
 
     def of_branches_and_injections(self) -> tuple[np.ndarray, np.ndarray]:
@@ -101,19 +96,3 @@ def _metered_injections(result: EstimationResult) -> np.ndarray:
         here = np.flatnonzero(is_informative & (table.kind == KINDS.index(kind)))
         found[row, table.bus[here]] = np.maximum(variance[here], 0.0)
     return found
-
-
-def _extended_factor(result: EstimationResult, meters: Records[Meter]) -> AugmentedFactor:
-    """The factor of the tableau with the readings of perfect ``meters`` as further unknowns."""
-    network, n_read = result.network, len(meters)
-    model = build_measurement_model(
-        network, build_admittance(network), join_meters(network, [result.plan.meters, meters])
-    )
-    of_x = model.jacobian(np.concatenate([result.va, result.vm]))[:, result.free]
-    of_y = sp.eye_array(of_x.shape[0], n_read, k=-len(result.sigmas))
-    H = sp.csr_array(sp.hstack([of_x, -of_y], format="csr"))
-    order = order_tableau(network, result.reference, model, result.free, n_read)
-    pattern = None
-    if order.blocks is not None:  # with loops minimum degree of the whole tableau fills in less
-        pattern = AugmentedPattern(H, order.rows, blocks=order.blocks)
-    return AugmentedFactor(H, np.concatenate([result.sigmas, np.zeros(n_read)]), pattern=pattern)

@@ -15,7 +15,7 @@ import pytest
 from dsse_core.errors import EstimationDivergedError, NotObservableError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.estimation.decision import Decision, Verdict
-from dsse_core.estimation.sparse import SparseIteration
+from dsse_core.estimation.estimator import WholeGrid
 from dsse_core.exchange.area_estimation import AreaEstimation
 from dsse_core.grid.measurement import Source
 from dsse_core.observability import find_indispensable_rows
@@ -61,7 +61,7 @@ def traced(carries_out: type, trace_of: Callable[[Any], Trace]) -> Iterator[None
 
 def trace_centre(feeder: Feeder) -> tuple[Trace, BadDataReport]:
     trace = Trace()
-    with traced(SparseIteration, lambda _: trace):
+    with traced(WholeGrid, lambda _: trace):
         return trace, process_bad_data(feeder.network, feeder.measurements, backend="sparse")
 
 

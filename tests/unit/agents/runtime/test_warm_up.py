@@ -90,7 +90,7 @@ compiling.listen(lambda begins, folder: compiled.append(begins))
 augmented.FEWEST_COMPILED = 0
 scenario = load_scenario("case33bw", whole=True)
 report = process_bad_data(scenario.network, make_telemetry(scenario).union, backend="sparse")
-assert report.result.plan.sparse.pattern.is_compiled
+assert report.result.plan.sparse.is_compiled
 find_deviations(report.result)
 print("compiled", len(compiled))
 """

@@ -18,6 +18,7 @@ from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.importers import import_grid
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.dense_rows import rows_of
 
 Kind = MeasurementKind
 FLOWS = (Kind.P_FLOW, Kind.Q_FLOW)
@@ -35,7 +36,7 @@ SETS = {
 def dense_statistics(result):
     """(covariance of the free state variables, Omega) by dense algebra, with constraints by the dense KKT matrix."""
     virtual = np.array([m.meter.source is Source.VIRTUAL for m in result.measurements])
-    H = result.jacobian.toarray()
+    H = rows_of(result)
     C, H = H[virtual], H[~virtual]
     sigma = np.array([m.sigma for m in result.measurements])[~virtual]
     G = H.T @ np.diag(sigma**-2) @ H
@@ -81,8 +82,8 @@ def test_the_estimate_minimises_the_weighted_squares(rich, meters_of, read, esti
     result = estimate(rich, noisy, tolerance=1e-10)
     weight = np.array([m.sigma**-2.0 for m in noisy])
     assert result.objective == pytest.approx(result.residual @ (weight * result.residual))
-    gradient = result.jacobian.T @ (weight * result.residual)
-    assert abs(gradient).max() < 1e-5 * abs(result.jacobian.T @ weight).max()
+    gradient = rows_of(result).T @ (weight * result.residual)
+    assert abs(gradient).max() < 1e-5 * abs(rows_of(result).T @ weight).max()
 
 
 @pytest.mark.parametrize("constrained", [False, True])
@@ -101,7 +102,7 @@ def test_covariance_and_residual_variance_equal_dense_algebra(
 
     rows = [0, 3, 8, 12]
     full = np.zeros((2 * len(rich.buses),) * 2)
-    full[np.ix_(result.free, result.free)] = covariance
+    full[np.ix_(result.linear.model.free, result.linear.model.free)] = covariance
     np.testing.assert_allclose(result.state_covariance(rows), full[np.ix_(rows, rows)], rtol=1e-7, atol=1e-16)
     sigma_vm, sigma_va = result.state_sigma()
     np.testing.assert_allclose(np.r_[sigma_va, sigma_vm], np.sqrt(np.diag(full)), rtol=1e-7, atol=1e-16)
@@ -119,7 +120,7 @@ def test_residual_variances_survive_impedances_near_zero_and_sigmas_over_four_de
     result = estimate(network, [replace(m, sigma=sigma[m.meter.kind]) for m in read(truth, meters)])
     np.testing.assert_allclose(result.vm, truth.vm, atol=1e-9)
     sigmas = np.array([m.sigma for m in result.measurements])
-    Q = np.linalg.qr(result.jacobian.toarray() / sigmas[:, None])[0]
+    Q = np.linalg.qr(rows_of(result) / sigmas[:, None])[0]
     np.testing.assert_allclose(result.residual_variance / sigmas**2, 1 - (Q**2).sum(axis=1), atol=1e-10)
 
 

@@ -50,7 +50,11 @@ def system_of(network: Network, seed: int) -> tuple[sp.csr_array, np.ndarray, Au
     meters += [Meter(kind, branch.from_bus, branch.id) for branch in network.branches[::3] for kind in flows]
     plan = build_estimation_plan(network, meters, backend="sparse")
     sigma = np.where(plan.virtual, 0.0, 10.0 ** np.random.default_rng(seed).uniform(-4, -2, len(meters)))
-    return plan.sparse.linearize(plan.sparse.start)[1], sigma, plan.sparse.pattern
+    linear = plan.sparse
+    H = linear.rows.jacobian(linear.flat)
+    structure = linear.rows.structure(H, linear.model.free)
+    assert structure.pattern.is_compiled == linear.is_compiled  # decided before the first estimate
+    return structure.take(H), sigma, structure.pattern
 
 
 @pytest.mark.usefixtures("numerics")

@@ -272,7 +272,7 @@ def test_the_residuals_of_an_estimate_are_those_of_its_state(random_seed):
     plan = build_estimation_plan(grid.network, [m.meter for m in grid.measurements], backend="radial")
     for _ in range(2):
         found = estimate_with_plan(plan, values + rng.normal(0, 0.1 * sigmas), sigmas)
-        model = plan.sparse.model
+        model = plan.sparse.model.model
         r = model.subtract(found.values, model.predict(np.concatenate([found.va, found.vm])))
         np.testing.assert_allclose(found.residual, r, rtol=0, atol=1e-11)
         weighted = r[found.sigmas > 0] / found.sigmas[found.sigmas > 0]

@@ -17,6 +17,7 @@ from dsse_core.results.deviations.choose import Deviations, find_deviations
 from dsse_core.results.flows import build_branch_model, find_flows, find_injections
 from dsse_core.results.state import GridState, find_state
 from dsse_core.results.totals import Division, find_totals
+from tests.support.dense_rows import rows_of
 from tests.support.grids import MeterShares, make_grid
 
 Kind = MeasurementKind
@@ -27,13 +28,13 @@ OF_END = (Kind.P_FLOW, Kind.Q_FLOW, Kind.CURRENT)
 def dense_covariance(result) -> np.ndarray:
     """Of x = [va; vm]: the inverse of the information in the null space of the constraints and the reference."""
     exact = result.sigmas == 0
-    H = result.jacobian.toarray()
+    H = rows_of(result)
     basis = scipy.linalg.null_space(H[exact]) if exact.any() else np.eye(H.shape[1])
     weighted = H[~exact] @ basis / result.sigmas[~exact, None]
     root = np.linalg.qr(weighted, mode="r")
     half = scipy.linalg.solve_triangular(root, basis.T, trans="T")
     covariance = np.zeros((2 * len(result.vm), 2 * len(result.vm)))
-    covariance[np.ix_(result.free, result.free)] = half.T @ half
+    covariance[np.ix_(result.linear.model.free, result.linear.model.free)] = half.T @ half
     return covariance
 
 

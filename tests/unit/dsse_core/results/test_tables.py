@@ -20,6 +20,7 @@ from dsse_core.results.meters import make_meter_table
 from dsse_core.results.results import Results, results_of_estimate, results_of_power_flow
 from dsse_core.results.state import find_state, read_state
 from dsse_core.results.table import Table
+from tests.support.dense_rows import rows_of
 
 Kind = MeasurementKind
 POWERS = (Kind.P_INJECTION, Kind.Q_INJECTION)
@@ -44,7 +45,7 @@ def test_what_meters_read_in_a_state_is_what_the_measurement_model_predicts(mesh
 def test_normalised_residuals_are_those_of_dense_algebra(meters_of, read, backend, rich):
     meters = meters_of(rich, Kind.VM, Kind.VA, *POWERS, Kind.P_FLOW, Kind.Q_FLOW)
     result = estimate_state(rich, read(solve_power_flow(rich), meters, noise=np.random.default_rng(1)), backend=backend)
-    H, R = result.jacobian.toarray(), np.diag(result.sigmas**2)
+    H, R = rows_of(result), np.diag(result.sigmas**2)
     omega = np.diag(R - H @ np.linalg.inv(H.T @ np.linalg.inv(R) @ H) @ H.T)
     table = results_of_estimate(result).meters
     np.testing.assert_allclose(table.normalised_residual, abs(result.residual) / np.sqrt(omega), rtol=1e-6)
