@@ -215,10 +215,13 @@ class WholeGrid:
 
     def totals(self) -> Totals:
         dva, dvm = self._size
-        model, rows = self._linear.model, self._linear.rows
+        model, objective = self._linear.model, np.inf
+        if not self.is_lost:
+            self._linear.prepare(self.x)
+            objective = self._find_objective(model.residual_of(self._linear.rows.predict(self.x)))
         held_back = len(model.held_back)
         return Totals(
-            objective=np.inf if self.is_lost else self._find_objective(model.residual_of(rows.predict(self.x))),
+            objective=objective,
             degrees_of_freedom=len(self._values) - held_back - len(model.free),
             dvm=dvm,
             dva=dva,
@@ -264,7 +267,7 @@ class WholeGrid:
 
     def _find_residual(self, x: np.ndarray) -> np.ndarray:
         """z - h(x) of all meters, (n_meas,)."""
-        return self._linear.model.model.subtract(self._values, self._linear.rows.predict_alone(x))
+        return self._linear.model.model.subtract(self._values, self._linear.rows.predict(x))
 
     def diverged(self, reason: str = DIVERGED) -> IterationLostError:
         """The error for an iteration that has stopped here."""

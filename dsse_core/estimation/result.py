@@ -87,7 +87,7 @@ class EstimationResult:
         if (of_radial := self._radial_variances) is not None:
             variance = of_radial[0]
         else:
-            variance = self.linear.variance_of_state(self._x, {})
+            variance = self.linear.variance_of_state(self._x)
         sigma_va, sigma_vm = np.split(np.sqrt(np.maximum(variance, 0.0)), 2)
         return sigma_vm, sigma_va
 
@@ -100,7 +100,7 @@ class EstimationResult:
         """
         if (of_radial := self._radial_variances) is not None:
             return of_radial[1]
-        return self.linear.variance_of_residuals(self._x, {})
+        return self.linear.variance_of_residuals(self._x)
 
     @cached_property
     def radial_inverse(self) -> RadialInverse:

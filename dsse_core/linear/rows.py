@@ -106,6 +106,9 @@ class TableauSolver(RowSolver):
         H = cast("sp.csr_array", H)
         return (without_rows(H, self.model.held_back) if self.model.held_back.size else H), r, sigma
 
+    def prepare(self, x: np.ndarray) -> None:
+        self.rows.jacobian(x)
+
     def step(self, x: np.ndarray, received: Received, damping: float = 0.0, *, nearby: bool = False) -> np.ndarray:
         """See ``LinearArea``; ``nearby``: the last step was so small that its factor may serve once more."""
         H, r, sigma = self.stack(x, received)
@@ -142,26 +145,32 @@ class TableauSolver(RowSolver):
         return found if is_flat else rows.factor(H, sigma, least, free, found)
 
     def variances(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, np.ndarray]:
-        return self.variance_of_state(x, received), self.variance_of_residuals(x, received)
-
-    def variance_of_state(self, x: np.ndarray, received: Received) -> np.ndarray:
-        """diag(G^-1), shape (size,), see ``variances``; of a whole grid nan where it would take too long."""
-        of_state = np.zeros(self.model.size)
         factor = self._factor_of(x, received)
+        return self._variance_of_state(factor), self._variance_of_residuals(factor, x)
+
+    def variance_of_state(self, x: np.ndarray) -> np.ndarray:
+        """diag(G^-1) of a whole grid, shape (size,), see ``variances``; nan where it would take too long."""
+        return self._variance_of_state(self._factor_of(x, {}))
+
+    def variance_of_residuals(self, x: np.ndarray) -> np.ndarray:
+        """diag(Omega) of a whole grid, shape (n_meas,), see ``variances``.
+
+        Where loops are so many and long that all would take too long, only those of the largest |r| / sigma are found,
+        and the others are nan.
+        """
+        return self._variance_of_residuals(self._factor_of(x, {}), x)
+
+    def _variance_of_state(self, factor: AugmentedFactor) -> np.ndarray:
+        of_state = np.zeros(self.model.size)
         of_state[self.model.free] = factor.state_variance(limited=self.model.flat is not None)
         return of_state
 
-    def variance_of_residuals(self, x: np.ndarray, received: Received) -> np.ndarray:
-        """diag(Omega), shape (n_meas,), see ``variances``.
-
-        In a whole grid with so many long loops that all would take too long, only those of the largest |r| / sigma are
-        found, and the others are nan.
-        """
+    def _variance_of_residuals(self, factor: AugmentedFactor, x: np.ndarray) -> np.ndarray:
         model, wanted = self.model, None
         if model.flat is not None:
             r = abs(model.residual_of(self.rows.predict(x)))
             wanted = np.argsort(-np.divide(r, model.sigma, out=np.zeros(len(r)), where=~model.virtual), kind="stable")
-        return model.real_part(self._factor_of(x, received).residual_variance(wanted)[: len(model.z)])
+        return model.real_part(factor.residual_variance(wanted)[: len(model.z)])
 
     def covariance(self, x: np.ndarray, received: Received, B: np.ndarray) -> np.ndarray:
         B = B[:, self.model.free]

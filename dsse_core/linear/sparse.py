@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from dsse_core.grid.measurement_model import MeasurementModel
 from dsse_core.grid.partition import Neighbour
-from dsse_core.grid.radial_order import TableauOrder, order_tableau
+from dsse_core.grid.radial_order import TableauOrder, find_tree, order_tableau
 from dsse_core.linear.area_measurements import NO_ROWS, AreaMeasurements
 from dsse_core.linear.boundary_information import ROUNDING
 from dsse_core.linear.interface import Matrix, Received, Rows
@@ -31,11 +31,13 @@ class Structure:
         indices, indptr = place[H.indices[self.entries]], np.searchsorted(self.entries, H.indptr)
         self._empty = sp.csr_array((H.data[self.entries], indices, indptr), shape=(H.shape[0], len(columns)))
         others = self._empty[len(area.model.kinds) :] if H.shape[0] > len(area.model.kinds) else None
-        order = order_of(area, columns, others)
-        if area.flat is None:  # pivots are the largest, and with loops the order is that of SuperLU
-            self.pattern = AugmentedPattern(self._empty, None if order.fills_in else order.rows, careful=True)
-        else:
+        if area.flat is not None:
+            order = order_of(area, columns, others)
             self.pattern = AugmentedPattern(self._empty, order.rows, fills_in=order.fills_in, blocks=order.blocks)
+        else:  # pivots are the largest, so with loops the order is that of SuperLU
+            has_loops = isinstance(find_tree(area.area.network, area.area.entry_bus), str)
+            rows = None if has_loops else order_of(area, columns, others).rows
+            self.pattern = AugmentedPattern(self._empty, rows, careful=True)
 
     def fits(self, H: sp.csr_array) -> bool:
         """True where H has this pattern."""
@@ -80,40 +82,36 @@ class SparseRows(Rows):
         self._n = len(area.area.network.buses)
         self.kept = Kept()
         self._at = self._voltages_at = b""  # of the numbers that are kept: steps, messages and variances ask in turn
-        self._h = self._own = np.zeros(0)
+        self._h: np.ndarray | None = None
+        self._own: np.ndarray | None = None  # h of the voltages alone
         self._H: sp.csr_array | None = None
         self._boundaries: dict[str, tuple[np.ndarray, sp.csr_array]] = {}
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """See ``Rows``; the caller must not change the array."""
         self._move_to(x)
+        if self._own is None:
+            model, voltages = self._area.model, x[: 2 * self._n]
+            self._own = model.linearize_compiled(voltages, NO_ROWS)[0] if self.is_compiled else model.predict(voltages)
+        if self._h is None:
+            powers = x[2 * self._n :]
+            self._h = np.asarray(self._own + self._area.into_children @ powers) if len(powers) else self._own
         return self._h
 
     def jacobian(self, x: np.ndarray) -> sp.csr_array:
-        """See ``Rows``; the caller must not change the array."""
+        """See ``Rows``; the caller must not change the array. Finds h(x) in passing."""
         self._move_to(x)
-        assert self._H is not None
+        if self._H is None:
+            at_flat = x is self._area.flat
+            self._own, self._H = self._linearize_at_flat() if at_flat else self._linearize(x[: 2 * self._n])
         return self._H
-
-    def predict_alone(self, x: np.ndarray) -> np.ndarray:
-        """``predict`` at a state where nothing else is asked for."""
-        if x.tobytes() == self._at:
-            return self._h
-        model, voltages = self._area.model, x[: 2 * self._n]
-        h = model.linearize_compiled(voltages, NO_ROWS)[0] if self.is_compiled else model.predict(voltages)
-        return self._with_powers(h, x[2 * self._n :])
-
-    def _with_powers(self, own: np.ndarray, powers: np.ndarray) -> np.ndarray:
-        return np.asarray(own + self._area.into_children @ powers) if len(powers) else own
 
     def _move_to(self, x: np.ndarray) -> None:
         if (at := x.tobytes()) == self._at:
             return
-        voltages, powers = x[: 2 * self._n], x[2 * self._n :]
-        if (voltages_at := voltages.tobytes()) != self._voltages_at:
-            self._own, self._H = self._linearize_at_flat() if x is self._area.flat else self._linearize(voltages)
-        self._h = self._with_powers(self._own, powers)
-        self._at, self._voltages_at, self._boundaries = at, voltages_at, {}
+        if (voltages_at := x[: 2 * self._n].tobytes()) != self._voltages_at:
+            self._own = self._H = None
+        self._at, self._voltages_at, self._h, self._boundaries = at, voltages_at, None, {}
 
     def _linearize(self, voltages: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
         if self.is_compiled:

@@ -107,6 +107,11 @@ class AugmentedPattern:
 
         return self._with_values(fill_tableau(self._gather, above, below, H.data, self.row, self.column, scale))
 
+    def put_below(self, tableau: sp.csc_array, first: int, below: np.ndarray) -> None:
+        """Puts ``below`` on the diagonal of the tableau, from row ``first`` on."""
+        at = np.flatnonzero((self._gather >= first) & (self._gather < first + len(below)))
+        tableau.data[at] = below[self._gather[at] - first]
+
     def _with_values(self, values: np.ndarray) -> sp.csc_array:
         """The tableau with these entries; a new one would have its indices checked each time."""
         tableau = copy.copy(self._empty)
@@ -153,8 +158,7 @@ class AugmentedFactor:
     the lower right block becomes ``-diag(damping)``. ``pattern``: pattern of H, if it is known already.
     ``variance`` (n_meas,): sigma squared. ``n_state``: unknowns. ``nearby``: a factor whose pivots may serve.
 
-    Raises:
-        RuntimeError: the matrix is exactly singular, and damping does not help.
+    All but the constructor raise RuntimeError where the matrix is exactly singular and damping does not help.
     """
 
     def __init__(
@@ -178,14 +182,22 @@ class AugmentedFactor:
         self._scale = np.concatenate([row_scale, column_scale])
         self._above = self._a * scaled_variance
         self._below = damping / self._a * column_scale**2
+        self._tableau, self._known = self._fill(H), nearby.elimination if nearby else None
+
+    @cached_property
+    def _lu(self) -> spla.SuperLU | CompiledFactor:
+        """LU factors, found where they are first needed: entries of the inverse on a tree of blocks need none."""
         while True:
-            self._tableau = self._fill(H)
             try:
-                self._lu = pattern.factor(self._tableau, nearby.elimination if nearby else None)
-                break
+                return self._pattern.factor(self._tableau, self._known)
             except RuntimeError:  # exactly singular
                 self._below = raise_damping(self._below)
-        self.elimination: Elimination | None = None if isinstance(self._lu, spla.SuperLU) else self._lu.elimination
+                self._pattern.put_below(self._tableau, self._n_meas, -self._below)
+
+    @property
+    def elimination(self) -> Elimination | None:
+        """The compiled elimination; None where SuperLU has factorised."""
+        return None if isinstance(self._lu, spla.SuperLU) else self._lu.elimination
 
     def _fill(self, H: sp.csr_array) -> sp.csc_array:
         return self._pattern.fill_scaled(self._above, H, -self._below, self._scale)
@@ -260,8 +272,8 @@ class AugmentedFactor:
         None without compiled elimination or tree, where too many solutions are needed, or where an entry is far from
         all entries of the tableau.
         """
-        by = self._pattern.tree if isinstance(self._lu, spla.SuperLU) else self._lu
-        if by is None:
+        by = self._lu if self._pattern.is_compiled else self._pattern.tree
+        if by is None or isinstance(by, spla.SuperLU):
             return None
         place = self._pattern.place
         found, wrong = by.find_inverse(self._tableau, place[rows], place[columns])

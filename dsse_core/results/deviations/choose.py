@@ -51,6 +51,7 @@ def find_deviations(
     an informative meter, and eight solutions per area.
     """
     state = find_state(result.network, result.vm, result.va, branches)
+    vm, va = result.state_sigma()  # before the factor that they need is dropped
     division, branches, flows = division or whole_network(result.network), state.branches, state.flows
     if isinstance(result.plan.radial, str):
         from dsse_core.results.deviations.sparse import SparseDeviations
@@ -70,7 +71,6 @@ def find_deviations(
         gradients = find_gradients(branches, at_from, s, result.vm[np.where(at_from, branches.f, branches.t)])
         injections = tree.of_injections(gradients)
     of_branches = find_branch_variances(branches, at_from, gradients, covariance)
-    vm, va = result.state_sigma()
     find_totals = partial(_find_totals, by_backend, state, division, at_from, gradients)
     return Deviations(vm, va, np.sqrt(of_branches), np.sqrt(injections), find_totals)
 
