@@ -31,13 +31,14 @@ class Structure:
         indices, indptr = place[H.indices[self.entries]], np.searchsorted(self.entries, H.indptr)
         self._empty = sp.csr_array((H.data[self.entries], indices, indptr), shape=(H.shape[0], len(columns)))
         others = self._empty[len(area.model.kinds) :] if H.shape[0] > len(area.model.kinds) else None
-        if area.flat is not None:
+        careful = area.flat is None
+        if careful and isinstance(find_tree(area.area.network, area.area.entry_bus), str):
+            self.pattern = AugmentedPattern(self._empty, careful=True)  # in the order of SuperLU
+        else:
             order = order_of(area, columns, others)
-            self.pattern = AugmentedPattern(self._empty, order.rows, fills_in=order.fills_in, blocks=order.blocks)
-        else:  # pivots are the largest, so with loops the order is that of SuperLU
-            has_loops = isinstance(find_tree(area.area.network, area.area.entry_bus), str)
-            rows = None if has_loops else order_of(area, columns, others).rows
-            self.pattern = AugmentedPattern(self._empty, rows, careful=True)
+            self.pattern = AugmentedPattern(
+                self._empty, order.rows, fills_in=order.fills_in, careful=careful, blocks=order.blocks
+            )
 
     def fits(self, H: sp.csr_array) -> bool:
         """True where H has this pattern."""
