@@ -20,7 +20,7 @@ MAX_DVA = 1.0  # rad
 FARTHEST_DVM = MOST_STEPS_ANEW * MAX_DVM  # p.u.: all steps of a start, each as long as allowed, lead no farther
 # The end, see ``next_step``; p.u. and rad but for the rate.
 LAST_STEP = 1e-5  # the largest last step
-REST = 2e-9  # the largest distance from the minimum after it
+REST = 2e-9  # the largest distance from the minimum after it; after a step as small J is as exact as it gets
 SLOWEST_RATE = 0.1  # only a smaller rate tells the size of the coming step
 # A smaller rate does not last: quadratic convergence ends, and bad data and current magnitudes then set a rate of their
 # own. Without this bound 3 of 1000 grids with gross errors were left 2e-8 from the minimum.
@@ -30,7 +30,6 @@ NO_STEP = 1e-10  # after a smaller step no other follows, whatever the step befo
 # J at the verdict is at most 1e-5 of the limit from J at the end. Good readings of 100,000 buses have a J within 0.8 %
 # of the limit.
 NEAR_LIMIT = 1e-3
-SURE_STEP = 1e-9  # p.u. and rad: after a smaller step J is as exact as it gets
 
 GO_ON, SHORTEN, USE_CURRENTS, FINAL, EVALUATE, LOST = range(6)  # verdicts on an iteration
 
@@ -103,7 +102,7 @@ def next_step(
         tolerance: the most that the last step may move, p.u. and rad, where convergence is linear.
         most_steps: limit of ``steps``.
     """
-    if stepped and flows_known and (largest <= SURE_STEP or abs(objective - limit) >= NEAR_LIMIT * limit):
+    if stepped and flows_known and (largest <= REST or abs(objective - limit) >= NEAR_LIMIT * limit):
         is_last = largest < NO_STEP
         if not is_last and largest < SLOWEST_RATE * before:
             rate = max(largest / before, LEAST_RATE)

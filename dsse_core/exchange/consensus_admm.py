@@ -14,6 +14,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
+from dsse_core.gauss_newton import MAX_DVM
 from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.area_model import AreaModel
@@ -23,7 +24,6 @@ RELAXATION = 0.8  # 1/2 is plain ADMM; with 1 the iteration swings for ever wher
 VOLTMETER_SIGMA = 0.002  # p.u.; taken where an area has no voltmeter
 POWER_METER_SIGMA = 0.01  # p.u.; taken where an area has no power meter
 DAMPING = 0.3  # tau, p.u. and rad
-LARGEST_STEP = 0.1  # p.u. and rad, of any voltage
 # A boundary's standard deviations are taken to lie above those of the area's meters divided by SPREAD; those of powers
 # below the meters' times SPREAD, those of voltages below the meters' own.
 SPREAD = 3.0
@@ -49,14 +49,14 @@ def compute_weight(model: AreaModel, x: np.ndarray, neighbour: Neighbour) -> np.
 
 
 def solve_damped_step(model: AreaModel, x: np.ndarray, received: Mapping[str, BoundaryInformation]) -> np.ndarray:
-    """The step dx, shape (size,), of ``(G + 1 / tau^2) dx = b``, shortened to LARGEST_STEP at any voltage.
+    """The step dx, shape (size,), of ``(G + 1 / tau^2) dx = b``, shortened to MAX_DVM at any voltage.
 
     Messages do not state the information of neighbours, so that transit power shows in losses only; undamped steps
     diverge.
     """
     dx = model.linear.step(x, received, DAMPING**-2.0)
     largest = float(abs(dx[: 2 * len(model.area.network.buses)]).max())
-    return np.asarray(dx * min(1.0, LARGEST_STEP / max(largest, LARGEST_STEP)))
+    return np.asarray(dx * min(1.0, MAX_DVM / max(largest, MAX_DVM)))
 
 
 def pull(M: np.ndarray, z: np.ndarray) -> BoundaryInformation:

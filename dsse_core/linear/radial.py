@@ -32,7 +32,6 @@ from dsse_core.radial.plan import N_SLOT, N_VOLTAGE_SLOT, lay_out_radial, plan_t
 if TYPE_CHECKING:
     from dsse_core.radial.tree import Tree
 
-LEAST_OF_FLOW = 1e-12  # information given to powers through branches that nothing determines yet
 # Determinant of a covariance of (p, q) over the product of its diagonal. Below it one combination of p and q is known
 # so much better than the other that its digits are lost in the entries of the covariance.
 LEAST_SPREAD = 1e-5
@@ -118,7 +117,7 @@ class RadialSolver(LinearArea):
         if is_away:
             i = self._number_of(t, self._reference)
             t.z[i, 0], t.w[i, 0] = x[t.plan.order[i]], 1 / NOT_YET  # 1e2 to 1e11 lead to the same
-        if not self._pass(t, x, received, (0.0, NOT_YET_OF_POWER), LEAST_OF_FLOW, addressee=neighbour.area):
+        if not self._pass(t, x, received, (0.0, NOT_YET_OF_POWER), NOT_YET_OF_POWER, addressee=neighbour.area):
             return None
         K, vm = t.work.above[0], abs(t.v[0])
         describe_root(t.plan.admittance[0], t.z[0], t.w[0], t.v[0], t.va[0], K, angle_given, not neighbour.is_parent)
