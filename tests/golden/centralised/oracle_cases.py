@@ -103,7 +103,7 @@ def draw_feeders() -> Iterator[Drawn]:
 
 def draw_examples() -> Iterator[Drawn]:
     """The explicit examples of the property of any grid."""
-    from test_any_grid import test_any_grid_with_any_meters_reaches_it as the_property
+    from tests.protocol.test_any_grid import test_any_grid_with_any_meters_reaches_it as the_property
 
     for given in reversed(the_property.hypothesis_explicit_examples):
         grid, _, gross_errors, _ = given.args
