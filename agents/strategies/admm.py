@@ -11,17 +11,17 @@ import numpy as np
 
 from agents.messages.packing import BoundaryUpdate, Header
 from agents.protocol.configuration import Configuration
-from agents.strategies.admm_boundary import MOVED, AdmmMessage, BoundaryIteration
+from agents.strategies.admm_boundary import AdmmMessage, BoundaryIteration
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import start_state
 from dsse_core.exchange.consensus_admm import compute_weight, pull, solve_damped_step
+from dsse_core.gauss_newton import MOST_STEPS, NO_STEP
 from dsse_core.grid.boundary import boundary_of
 from dsse_core.grid.measurement import Measurement, MeasurementKind
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BEYOND_REASON, EXACT_SIGMA
 
-MOST_STEPS = 50  # between two messages
 LARGEST_R = np.array([1e6, 1e6, 1e3, 1e3])  # by kind, p.u. and rad; a larger r would cost z some of its digits
 SETTLED = 1e-6  # p.u., rad: a last step below it shows the end
 
@@ -52,7 +52,7 @@ class Admm(Strategy):
         waits = any(b.is_owed for b in boundaries if b.neighbour.area in known.present)
         for _ in range(MOST_STEPS):
             stepped = [] if waits else [b for b in boundaries if b.step(self._y(b))]
-            moving = self._moved > MOVED and not any(b.is_owed for b in boundaries)
+            moving = self._moved > NO_STEP and not any(b.is_owed for b in boundaries)
             if not (stepped or changed or moving):
                 break
             changed = False

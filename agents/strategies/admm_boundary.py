@@ -22,11 +22,10 @@ from agents.messages.boundary_arrays import find_wrong_length
 from agents.messages.checks import Count, Names, Numbers
 from agents.messages.packing import BoundaryUpdate
 from dsse_core.exchange.consensus_admm import RELAXATION, pull
+from dsse_core.gauss_newton import NO_STEP
 from dsse_core.grid.boundary import Boundary, Kind, boundary_of, find_wrong_name
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.boundary_information import BoundaryInformation
-
-MOVED = 1e-10  # p.u., rad: a larger change of z or r is worth another iteration
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,9 +114,9 @@ class BoundaryIteration:
             return False
         ahead = self.received.iteration - self.k
         r = np.array(self.received.r_before if ahead == 1 else self.received.r)
-        moves = self.z is None or self._distance(r, self.z) > MOVED
+        moves = self.z is None or self._distance(r, self.z) > NO_STEP
         invited = self.received.unsettled and not self.neighbour.is_parent
-        if ahead == 0 and not (moves or invited or abs(self._reflect(y) - self.sent).max() > MOVED):
+        if ahead == 0 and not (moves or invited or abs(self._reflect(y) - self.sent).max() > NO_STEP):
             return False
         self.k = self.received.iteration if ahead > 1 else self.k + 1
         self.z = r.copy() if self.z is None or ahead > 1 else self.z + RELAXATION * (r - self.z)
