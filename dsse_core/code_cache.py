@@ -88,7 +88,8 @@ def compiled(function: Callable[..., Any]) -> Any:
     all buses have neither, as these counts would take as long as the work. Constants among the arguments are variables
     in it: numba would compile it once more for each constant of a call.
     """
-    dispatcher: Any = njit(error_model="numpy", fastmath={"contract"}, nogil=True)(function)
+    no_callback: dict[str, Any] = {"no_cfunc_wrapper": True}  # a way in from C, which would be compiled for nothing
+    dispatcher: Any = njit(error_model="numpy", fastmath={"contract"}, nogil=True, **no_callback)(function)
     if hasattr(dispatcher, "_cache"):  # not where NUMBA_DISABLE_JIT is set
         dispatcher._cache = KeptCode(function)  # as ``enable_caching`` does with a cache of numba's own
         dispatcher.get_call_template = _without_literals(dispatcher.get_call_template)

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 from dsse_core.code_places import Whole, find_folder_to_keep_in, has_whole
 
-# Compiling the estimate takes 25 to 35 s of a processor. Without it a command takes some 80 us more for each bus. From
+# Compiling the estimate takes 20 to 25 s of a processor. Without it a command takes some 80 us more for each bus. From
 # the first number of buses on a command compiles after its answer; from the second on before it, which is sooner.
 FEWEST_BUSES_AFTERWARDS, FEWEST_BUSES_AT_ONCE = 20_000, 400_000
 Listener = Callable[[bool, str | None], None]

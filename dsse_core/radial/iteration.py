@@ -117,13 +117,6 @@ def iterate(parent, place, Y, z, w, states, has_currents, tolerance, most_steps,
 
 
 @compiled
-def place_of(slot):
-    """Bus and column of ``slot``, unsigned: signed division would double the time of a loop over the meters."""
-    unsigned = np.uint64(slot)
-    return unsigned // np.uint64(10), unsigned % np.uint64(10)
-
-
-@compiled
 def store(meter, exact, values, sigmas, z, w):
     """Stores readings in ``z`` and weights in ``w``, both (n, 10): 1 / sigma^2, of injections sigma^2; see ``absent``.
 
