@@ -72,18 +72,15 @@ class MeasurementModel:
         along = (of_u[row] * self.at_bus + of_i[row] * self.y.data) * phase[column]
         return self.read(u, i), np.concatenate([-along.imag * vm[column], along.real])[self._pattern[0]]
 
-    def linearize_compiled(self, x: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """h(x) and the entries of H(x) at ``places``, see ``places_of``, by compiled code: needs numba."""
+    def linearize_compiled(self, x: np.ndarray, *, with_H: bool = True) -> tuple[np.ndarray, np.ndarray]:
+        """``linearize_entries``, or without ``with_H`` h(x) and no entries, by compiled code: needs numba."""
         from dsse_core.grid import derivatives
 
+        places = self._pattern[0] if with_H else self._pattern[0][:0]
         y, floors = self.y, (CURRENT_FLOOR, VOLTAGE_FLOOR)
         of_meters = self._reads, self.bus_row, y.indptr, y.indices, y.data, self.at_bus
         found: tuple[np.ndarray, np.ndarray] = derivatives.linearize(x, *of_meters, places, floors)
         return found
-
-    def places_of(self, entries: np.ndarray) -> np.ndarray:
-        """The places of the stored ``entries`` of H among the derivatives by va, then by vm, of the entries of y."""
-        return np.asarray(self._pattern[0][entries])
 
     @cached_property
     def _reads(self) -> np.ndarray:

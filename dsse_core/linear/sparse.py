@@ -93,7 +93,9 @@ class SparseRows(Rows):
         self._move_to(x)
         if self._own is None:
             model, voltages = self._area.model, x[: 2 * self._n]
-            self._own = model.linearize_compiled(voltages, NO_ROWS)[0] if self.is_compiled else model.predict(voltages)
+            self._own = (
+                model.linearize_compiled(voltages, with_H=False)[0] if self.is_compiled else model.predict(voltages)
+            )
         if self._h is None:
             powers = x[2 * self._n :]
             self._h = np.asarray(self._own + self._area.into_children @ powers) if len(powers) else self._own
@@ -116,7 +118,7 @@ class SparseRows(Rows):
 
     def _linearize(self, voltages: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
         if self.is_compiled:
-            h, data = self._area.model.linearize_compiled(voltages, self._places)
+            h, data = self._area.model.linearize_compiled(voltages)
         else:
             h, data = self._area.model.linearize_entries(voltages)
         first, order = self.kept.first or self._find_first(voltages)
@@ -141,10 +143,6 @@ class SparseRows(Rows):
             H, _ = self._find_first(self._area.flat)
             self.kept.flat = self._area.model.predict(self._area.flat), H
         return self.kept.flat
-
-    @cached_property
-    def _places(self) -> np.ndarray:
-        return self._area.model.places_of(np.arange(self._linearize_at_flat()[1].nnz))
 
     @cached_property
     def is_compiled(self) -> bool:

@@ -23,7 +23,7 @@ import scipy.sparse.linalg as spla
 
 from dsse_core.compiling import find_obstacle
 from dsse_core.matrices.block_tree import BlockTree, find_block_tree
-from dsse_core.matrices.selected_inverse import find_inverse_diagonal, find_inverse_entries
+from dsse_core.matrices.selected_inverse import find_inverse_entries
 
 if TYPE_CHECKING:
     from dsse_core.matrices.compiled_factor import CompiledFactor, Elimination
@@ -256,33 +256,37 @@ class AugmentedFactor:
         Nan where the selected inverse declines and solves would cost more than MOST_SOLVED.
         """
         rows, columns = self._n_meas + np.asarray(rows), self._n_meas + np.asarray(columns)
-        found = self._find_selected(rows, columns) if len(self._scale) >= FEWEST_SELECTED else None
-        if found is None and len(self._scale) >= FEWEST_SELECTED:
-            place = self._pattern.place
-            factor = self._pattern.factor_by_superlu(self._tableau, exact=True)
-            selected = find_inverse_entries(self._tableau, factor, place[rows], place[columns])
-            found = None if selected is None else self._scale[rows] * selected * self._scale[columns]
+        found = self._find_selected(rows, columns)
         if found is None and len(self._scale) * len(np.unique(columns)) > MOST_SOLVED:
             return np.full(len(rows), np.nan)
         return np.asarray((self._solve_entries(rows, columns) if found is None else found) / -self._a)
 
     def _find_selected(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
-        """Entries of the inverse of the tableau by compiled elimination or on a tree; solutions where digits are lost.
+        """Entries of the inverse of the tableau, (k,), without a solution for each column; None where that costs more
+        or cannot be.
 
-        None without compiled elimination or tree, where too many solutions are needed, or where an entry is far from
-        all entries of the tableau.
+        They are found by compiled elimination or on a tree, with solutions where digits are lost, if that does and no
+        entry is far from all entries of the tableau; else from factors of SuperLU.
         """
+        if len(self._scale) < FEWEST_SELECTED:
+            return None
+        place, fills_in = self._pattern.place, self._pattern.fills_in
         by = self._lu if self._pattern.is_compiled else self._pattern.tree
-        if by is None or isinstance(by, spla.SuperLU):
-            return None
-        place = self._pattern.place
-        found, wrong = by.find_inverse(self._tableau, place[rows], place[columns])
-        if np.isnan(found).any() or len(self._scale) * len(np.unique(columns[wrong])) > MOST_SOLVED:
-            return None
-        found *= self._scale[rows] * self._scale[columns]
-        if wrong.any():
-            found[wrong] = self._solve_entries(rows[wrong], columns[wrong])
-        return np.asarray(found)
+        if by is not None and not isinstance(by, spla.SuperLU):
+            found, wrong = by.find_inverse(self._tableau, place[rows], place[columns])
+            if not np.isnan(found).any() and len(self._scale) * len(np.unique(columns[wrong])) <= MOST_SOLVED:
+                found *= self._scale[rows] * self._scale[columns]
+                if wrong.any():
+                    found[wrong] = self._solve_entries(rows[wrong], columns[wrong])
+                return np.asarray(found)
+        for exact in (
+            (True, False) if fills_in else (True,)
+        ):  # the latter: fewer entries, accurate enough for most grids
+            factor = self._pattern.factor_by_superlu(self._tableau, exact=exact)
+            selected = find_inverse_entries(self._tableau, factor, place[rows], place[columns])
+            if selected is not None:
+                return np.asarray(self._scale[rows] * selected * self._scale[columns])
+        return None
 
     def _solve_entries(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Entries of the inverse of the tableau, a solution for each of the ``columns``."""
@@ -315,15 +319,8 @@ class AugmentedFactor:
     @cached_property
     def _inverse_diagonal(self) -> np.ndarray | None:
         """Diagonal of the tableau's inverse, (n_meas + n_state,); None where solves cost less or it cannot be found."""
-        if len(self._scale) < FEWEST_SELECTED:
-            return None
         everywhere = np.arange(len(self._scale))
-        if (selected := self._find_selected(everywhere, everywhere)) is not None:
-            return selected
-        found = find_inverse_diagonal(self._tableau, self._pattern.factor_by_superlu(self._tableau, exact=True))
-        if found is None and self._pattern.fills_in:  # fewer entries, and accurate enough for most grids
-            found = find_inverse_diagonal(self._tableau, self._pattern.factor_by_superlu(self._tableau))
-        return None if found is None else self._scale**2 * self._pattern.permute_back(found)
+        return self._find_selected(everywhere, everywhere)
 
     def _diagonal(self, rows: np.ndarray) -> np.ndarray:
         """Entries ``rows`` of the diagonal of the tableau's inverse."""

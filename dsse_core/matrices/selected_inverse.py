@@ -44,12 +44,6 @@ def find_inverse_entries(A: sp.csc_array, lu: spla.SuperLU, rows: np.ndarray, co
     return np.asarray(Z[places.find(wanted)])
 
 
-def find_inverse_diagonal(A: sp.csc_array, lu: spla.SuperLU) -> np.ndarray | None:
-    """diag(A^-1), shape (n,), from the factors of ``A``; None where they are too full, or not accurate enough."""
-    everywhere = np.arange(A.shape[0])
-    return find_inverse_entries(A, lu, everywhere, everywhere)
-
-
 class Places:
     """Places (row, column) in L + U, closed under elimination; ``key``: row n + column, ascending.
 

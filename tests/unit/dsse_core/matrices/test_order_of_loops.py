@@ -109,10 +109,12 @@ def test_a_factor_that_is_too_full_with_full_pivoting_gives_way_to_that_of_the_s
 ) -> None:
     H, sigma, pattern = system_of(looped(1, 600, 40), 1)
     expected = AugmentedFactor(H, sigma, pattern=pattern).residual_variance()
-    find = augmented.find_inverse_diagonal
+    find = augmented.find_inverse_entries
     calls = []
     monkeypatch.setattr(
-        augmented, "find_inverse_diagonal", lambda A, lu: calls.append(lu) or (find(A, lu) if calls[1:] else None)
+        augmented,
+        "find_inverse_entries",
+        lambda A, lu, *at: calls.append(lu) or (find(A, lu, *at) if calls[1:] else None),
     )
     monkeypatch.setattr(augmented, "BLOCK", 0)  # no solves
     found = AugmentedFactor(H, sigma, pattern=pattern).residual_variance()
