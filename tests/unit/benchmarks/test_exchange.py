@@ -31,6 +31,7 @@ def rows() -> list[dict]:
     return found["rows"]
 
 
+@pytest.mark.long
 def test_every_case_has_its_rows(rows):
     cases = {(row["case"], row["strategy"]) for row in rows}
     feeders = f"{QUICK.feeders} random feeders"
@@ -38,6 +39,7 @@ def test_every_case_has_its_rows(rows):
     assert {("6 areas in a row", EXACT), ("ieee33, 30% lost", EXACT), ("8 areas, 50 ms a hop", EXACT)} < cases
 
 
+@pytest.mark.long
 def test_under_rounds_an_edge_carries_two_boundary_messages_a_round(rows):
     sound = [row for row in rows if row["strategy"] == EXACT and "lost" not in row["case"]]
     assert sound
@@ -45,12 +47,14 @@ def test_under_rounds_an_edge_carries_two_boundary_messages_a_round(rows):
         assert row["boundary"] == [2 * rounds for rounds in row["rounds"]], row["case"]
 
 
+@pytest.mark.long
 def test_all_areas_agree_before_all_are_good_and_end_at_the_centralised_estimate(rows):
     for row in (row for row in rows if row["strategy"] == EXACT):
         assert row["agree_s"][0] <= row["good_s"][0], row["case"]
         assert row["gap"] < 1e-8, row["case"]
 
 
+@pytest.mark.long
 def test_areas_agree_after_rounds_times_the_path(rows):
     predicted = [row for row in rows if row["predicted_s"] is not None]
     assert {row["case"] for row in predicted} == {"6 areas in a row", "8 areas, 50 ms a hop"}
@@ -58,6 +62,7 @@ def test_areas_agree_after_rounds_times_the_path(rows):
         assert row["agree_s"][1] == pytest.approx(row["predicted_s"], abs=ROUNDING_S), row["case"]
 
 
+@pytest.mark.long
 def test_at_rest_loss_leaves_areas_good(rows):
     (rest,) = (row for row in rows if row["good_share"] is not None)
     assert rest["case"] == "ieee33 in 12 areas, 30% lost"
