@@ -52,7 +52,7 @@ class AreaMeasurements:
     def with_values(self, z: np.ndarray, sigma: np.ndarray, **changed: object) -> Self:
         """Other readings of the same meters; keeps all that is found already."""
         other = copy.copy(self)
-        other.__dict__.update(z=z, sigma=sigma, **changed)
+        other.__dict__.update(virtual=self.virtual, currents=self.currents, z=z, sigma=sigma, **changed)
         return other
 
     @cached_property

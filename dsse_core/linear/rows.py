@@ -84,7 +84,7 @@ class TableauSolver(RowSolver):
     def with_values(self, z: np.ndarray, sigma: np.ndarray, held_back: np.ndarray = NO_ROWS) -> Self:
         """Solver for other readings of the same meters, with no memory of a last step."""
         other = self.with_readings(self.model.with_values(z, sigma, held_back=held_back))
-        other.rows = copy.copy(self.rows)  # threads share a plan
+        other.rows = self.rows.copy()
         return other
 
     @property
@@ -102,6 +102,7 @@ class TableauSolver(RowSolver):
         return super().least_information(columns) if self.model.flat is None else np.zeros(len(columns))
 
     def stack(self, x: np.ndarray, received: Received) -> tuple[sp.csr_array, np.ndarray, np.ndarray]:
+        self.rows.jacobian(x)  # which finds h(x) in passing
         H, r, sigma = super().stack(x, received)
         H = cast("sp.csr_array", H)
         return (without_rows(H, self.model.held_back) if self.model.held_back.size else H), r, sigma

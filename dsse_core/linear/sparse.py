@@ -24,7 +24,7 @@ class Structure:
     """Rows of one pattern in some ``columns``, and the order in which their tableau is eliminated."""
 
     def __init__(self, area: AreaMeasurements, H: sp.csr_array, columns: np.ndarray) -> None:
-        self._indices, self._indptr = H.indices, H.indptr
+        self.columns, self._indices, self._indptr = columns, H.indices, H.indptr
         place = np.full(H.shape[1], -1)
         place[columns] = np.arange(len(columns))
         self.entries = np.flatnonzero(place[H.indices] >= 0)
@@ -49,7 +49,7 @@ class Structure:
     def take(self, H: sp.csr_array) -> sp.csr_array:
         """The columns of H."""
         taken = copy.copy(self._empty)  # a new one would have its indices checked each time
-        taken.data = H.data[self.entries]
+        taken.data = H.data.take(self.entries)
         return taken
 
 
@@ -69,7 +69,7 @@ class Kept:
     sigmas, which most meters keep from scan to scan.
     """
 
-    structures: dict[bytes, Structure] = field(default_factory=dict)
+    structures: dict[int, Structure] = field(default_factory=dict)
     first: tuple[sp.csr_array, np.ndarray] | None = None
     flat: tuple[np.ndarray, sp.csr_array] | None = None
     at_flat: dict[bytes, AugmentedFactor] = field(default_factory=dict)
@@ -87,6 +87,12 @@ class SparseRows(Rows):
         self._own: np.ndarray | None = None  # h of the voltages alone
         self._H: sp.csr_array | None = None
         self._boundaries: dict[str, tuple[np.ndarray, sp.csr_array]] = {}
+
+    def copy(self) -> SparseRows:
+        """Rows that share what is kept, but no state: threads share a plan."""
+        other = copy.copy(self)
+        other.__dict__.update(is_compiled=self.is_compiled)
+        return other
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """See ``Rows``; the caller must not change the array."""
@@ -152,9 +158,9 @@ class SparseRows(Rows):
 
     def structure(self, H: sp.csr_array, columns: np.ndarray) -> Structure:
         """Structure of the ``columns`` of H, all rows of the area; the last one of the same columns is kept."""
-        key = columns.tobytes()
+        key = id(columns)  # sets of columns are kept by the area
         found = self.kept.structures.get(key)
-        if found is None or not found.fits(H):
+        if found is None or found.columns is not columns or not found.fits(H):
             self.kept.structures[key] = found = Structure(self._area, H, columns)
         return found
 
