@@ -58,6 +58,13 @@ def test_a_stiff_source_is_the_slack_itself(tmp_path: Path) -> None:
     check_power_flow(grid, data)
 
 
+@pytest.mark.parametrize("missing", ["rx_ratio", "sk", "u_ref_angle"])
+def test_a_source_without_a_value_has_power_grid_models_default(tmp_path: Path, missing: str) -> None:
+    data = without_link(small_grid())
+    data["source"][missing] = NAN
+    check_power_flow(imported(tmp_path, data), data)
+
+
 def test_a_line_beside_a_closed_link_is_left_out_and_reported(tmp_path: Path) -> None:
     data = small_grid()
     extra = data["line"][:1].copy()
