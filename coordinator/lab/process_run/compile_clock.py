@@ -48,7 +48,7 @@ def describe_compiling(folder: str | None) -> str:
         else "there is no safe folder to keep the code in, so that it happens each time; "
         "set NUMBA_CACHE_DIR to one, or run `dsse compile` as administrator"
     )
-    return f"compiling the solvers of large radial networks, about a minute of a processor; {once}"
+    return f"compiling the solvers of large radial networks, up to a minute of a processor; {once}"
 
 
 clock = CompileClock()  # of this process
