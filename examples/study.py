@@ -29,17 +29,6 @@ def find_times(rows: dsse.Table, strategy: str, loss: float) -> np.ndarray:
     return np.nan_to_num(rows.below_1e6_s[chosen], nan=np.inf)
 
 
-def write_csv(rows: dsse.Table, path: Path) -> None:
-    lines = [",".join(rows.columns), *(",".join(map(repr_of, row)) for row in rows.rows())]
-    path.write_text("\n".join(lines) + "\n")
-
-
-def repr_of(cell: object) -> str:
-    """A cell of a CSV file, with all digits."""
-    text = cell if isinstance(cell, str) else repr(cell)
-    return f'"{text}"' if "," in text else text
-
-
 def write_table(rows: dsse.Table, path: Path) -> None:
     """Medians in milliseconds, for LaTeX."""
     lines = [r"\begin{tabular}{l" + "r" * len(LOSSES) + "}", r"\hline"]
@@ -66,7 +55,7 @@ def draw(rows: dsse.Table, path: Path) -> None:
 def main(folder: Path, seeds: int) -> None:
     rows = run_all(seeds)
     folder.mkdir(parents=True, exist_ok=True)
-    write_csv(rows, folder / "rows.csv")
+    rows.to_csv(folder / "rows.csv")
     write_table(rows, folder / "table.tex")
     draw(rows, folder / "figure.pdf")
     lost = [k for k, outcome in enumerate(rows.outcome) if outcome != "consensus"]

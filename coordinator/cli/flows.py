@@ -41,7 +41,7 @@ def flows(
     from coordinator.watch.observe.area_flows import make_area_flows
     from coordinator.watch.observe.attachment import attach, wait_for_state
     from coordinator.watch.observe.run_address import RunAddress
-    from coordinator.watch.tables.table_files import format_csv, rows_as_json
+    from coordinator.watch.tables.table_files import rows_as_json
 
     end_orderly_on_signals()
     content = load_area_file(area_file, list_strategies())
@@ -62,7 +62,7 @@ def flows(
         about |= {"age_s": view.age_s, "notes": view.notes}
         show(json.dumps(about | {"buses": rows_as_json(buses), "branches": rows_as_json(branches)}, allow_nan=False))
     elif csv:
-        show(format_csv(buses if csv == "buses" else branches))
+        show((buses if csv == "buses" else branches).to_csv().removesuffix("\n"))
         for line in lines:
             notify(line)
     else:

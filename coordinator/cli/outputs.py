@@ -98,9 +98,7 @@ def hand_over(
 
         show(json.dumps(content() | tables_as_json(tables), allow_nan=False))
     elif output.csv:
-        from coordinator.watch.tables.table_files import format_csv
-
-        show(format_csv(getattr(tables, output.csv)))
+        show(getattr(tables, output.csv).to_csv().removesuffix("\n"))
     else:
         show(text())
     machine_reads = output.as_json or output.csv is not None

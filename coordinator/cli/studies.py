@@ -307,7 +307,6 @@ def thesis(tables: tuple[str, ...], summary: bool, out: Path | None) -> None:
     """
     from coordinator.lab.thesis.comparison import as_one_table, compare_tables, format_compared, format_summary
     from coordinator.watch.run_folder import result_folder
-    from coordinator.watch.tables.table_files import write_csv
     from dsse_core.files.drafts import whole_file
 
     end_orderly_on_signals()
@@ -318,5 +317,5 @@ def thesis(tables: tuple[str, ...], summary: bool, out: Path | None) -> None:
         show(format_summary(compared))
         if folder is not None:
             with whole_file(folder / THESIS_FILE) as draft, draft.open("w", encoding="utf-8", newline="") as file:
-                write_csv(file, as_one_table(compared))
+                as_one_table(compared).to_csv(file)
             show(f"\nfiles: {printable(folder)}")

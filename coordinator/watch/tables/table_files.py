@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
-import re
-from collections.abc import Iterable, Sequence
-from itertools import groupby
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
-import msgspec
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
@@ -22,8 +18,6 @@ from dsse_core.results.table import Table
 
 Tables = Results | ScanTables
 Column = np.ndarray | tuple[str, ...]
-ROWS_AT_A_TIME = 4096  # whose cells take a few megabytes
-NEEDS_QUOTES = re.compile('[,"\r\n]')
 
 
 def write_tables(folder: Path, tables: Tables) -> None:
@@ -31,61 +25,7 @@ def write_tables(folder: Path, tables: Tables) -> None:
     for name in tables.names:
         path = folder / f"{name}.csv"
         with whole_file(path) as draft, draft.open("w", newline="", encoding="utf-8") as file:
-            write_csv(file, getattr(tables, name))
-
-
-def format_csv(table: Table) -> str:
-    """The table as CSV text, without the last line end."""
-    text = io.StringIO(newline="")
-    write_csv(text, table)
-    return text.getvalue().rstrip("\n")
-
-
-def write_csv(file: TextIO, table: Table) -> None:
-    """Write a header and one line per row; numbers read back exactly, and an unknown value is an empty cell."""
-    file.write(",".join(table.columns) + "\n")
-    columns = [table[name] for name in table.columns]
-    groups = [(is_text, list(group)) for is_text, group in groupby(columns, key=_is_text)]
-    for first in range(0, len(table), ROWS_AT_A_TIME):
-        parts: list[Sequence[str]] = []
-        for is_text, group in groups:
-            cut = [column[first : first + ROWS_AT_A_TIME] for column in group]
-            parts += map(_quote, cut) if is_text else [_join_numbers(cut)]
-        file.write("\n".join(map(",".join, zip(*parts, strict=True))) + "\n")
-
-
-def _is_text(column: Column) -> bool:
-    return isinstance(column, tuple) or column.dtype.kind not in "biuf"
-
-
-def _quote(texts: Column) -> Sequence[str]:
-    """Texts as cells, in quotes where they contain a comma, a quote or a line end."""
-    cells = texts if isinstance(texts, tuple) else list(map(str, texts.tolist()))
-    if not NEEDS_QUOTES.search("".join(cells)):
-        return cells
-    return ['"' + cell.replace('"', '""') + '"' if NEEDS_QUOTES.search(cell) else cell for cell in cells]
-
-
-def _join_numbers(columns: Sequence[np.ndarray]) -> list[str]:
-    """The cells of each row, with commas between them.
-
-    One call of ``msgspec`` writes all numbers, in a fifth of the time of Python's ``repr`` of each.
-    """
-    text = msgspec.json.encode(list(zip(*map(_as_numbers, columns), strict=True))).decode()
-    return text[len("[[") : -len("]]")].replace("null", "").split("],[")
-
-
-def _as_numbers(column: np.ndarray) -> list[object]:
-    """The numbers of ``column`` for ``msgspec``; those that it would write otherwise than Python as raw text.
-
-    The two differ in exponents of one digit and of large numbers."""
-    numbers: list[object] = column.tolist()
-    if column.dtype.kind == "f":
-        size = abs(column)
-        alike = (size < 1e-9) | (size >= 1e-4) & (size < 1e16) | np.isnan(size)
-        for row in np.flatnonzero(~alike).tolist():
-            numbers[row] = msgspec.Raw(repr(numbers[row]).encode())
-    return numbers
+            getattr(tables, name).to_csv(file)
 
 
 def write_json(path: Path, content: object) -> None:

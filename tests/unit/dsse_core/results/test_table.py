@@ -39,10 +39,25 @@ def test_a_result_cannot_be_changed_by_who_reads_it_or_who_made_it():
 
 
 def test_an_unknown_column_is_named_with_those_that_there_are():
-    with pytest.raises(AttributeError, match=r"no column 'vm'; it has bus, name, vm_pu"):
+    with pytest.raises(AttributeError, match=r"no column 'vm'; it has bus, name, vm_pu$"):
         _ = _table().vm
     with pytest.raises(KeyError, match="no column 'vm'"):
         _ = _table()["vm"]
+
+
+def test_a_column_with_a_slip_in_its_name_is_suggested():
+    with pytest.raises(AttributeError, match=r"; did you mean 'vm_pu'\?$"):
+        _ = _table().v_pu
+
+
+def test_a_table_is_written_as_text_to_a_path_and_to_a_file(tmp_path):
+    table = Table("runs", {"faults.link[1].loss": np.array([0.25, np.nan]), "areas.x,y.p": ["a,b", ""]})
+    text = 'faults.link[1].loss,"areas.x,y.p"\n0.25,"a,b"\n,\n'
+    assert table.to_csv() == text
+    table.to_csv(tmp_path / "a.csv")
+    with (tmp_path / "b.csv").open("w", newline="") as file:
+        table.to_csv(file)
+    assert (tmp_path / "a.csv").read_text() == (tmp_path / "b.csv").read_text() == text
 
 
 @pytest.mark.parametrize(

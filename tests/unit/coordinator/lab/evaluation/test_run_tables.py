@@ -14,7 +14,7 @@ import pytest
 from coordinator.lab.evaluation.result import RunResult, write_files
 from coordinator.lab.evaluation.run_tables import make_run_tables
 from coordinator.lab.simulator.simulate import simulate_scenario
-from coordinator.watch.tables.table_files import format_csv, tables_as_json, write_parquet
+from coordinator.watch.tables.table_files import tables_as_json, write_parquet
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import Measurement
@@ -162,7 +162,7 @@ def test_a_full_disk_costs_files_and_not_the_result(ran: RunResult, tmp_path: Pa
 
 def test_a_name_with_commas_and_line_ends_stays_in_its_cell():
     table = Table("buses", {"bus": np.array([1, 2]), "name": ['say "no", please', "two\nlines"]})
-    rows = list(csv.reader(format_csv(table).split("\n", 1)[1].splitlines(keepends=True)))
+    rows = list(csv.reader(table.to_csv().split("\n", 1)[1].splitlines(keepends=True)))
     assert rows == [["1", 'say "no", please'], ["2", "two\nlines"]]
 
 
@@ -173,6 +173,6 @@ def test_no_meter_becomes_an_object_for_the_tables_of_a_run(ran: RunResult):
     readings = Records(Measurement, {**ran.readings.columns, "meter": meters})  # type: ignore[attr-defined]
     figures = [asdict(area) for area in ran.area_results]
     tables = make_run_tables(ran.comparison, meters, readings, ran.centralised, figures)
-    assert format_csv(tables.meters) == format_csv(ran.tables.meters)
+    assert tables.meters.to_csv() == ran.tables.meters.to_csv()
     assert "objects" not in vars(meters)
     assert meters._asked == 0

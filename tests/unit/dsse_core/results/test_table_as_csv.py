@@ -12,8 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coordinator.watch.tables import table_files
-from coordinator.watch.tables.table_files import format_csv
+from dsse_core.results import table as table_module
 from dsse_core.results.table import Table
 
 EDGES = [0.0, -0.0, 5e-324, 1e-10, 9.999999999999999e-10, 1e-9, 1e-5, 9.999999999999999e-5, 1e-4, 1e16, 1e22, math.inf]
@@ -21,7 +20,7 @@ TEXTS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\r\
 
 
 def cells_of(table: Table) -> list[list[str]]:
-    return list(csv.reader(io.StringIO(format_csv(table), newline="")))[1:]
+    return list(csv.reader(io.StringIO(table.to_csv(), newline="")))[1:]
 
 
 @settings(max_examples=300, deadline=None)
@@ -48,13 +47,13 @@ def test_no_text_is_torn_into_cells(rows: list[tuple[str, str]]):
 
 def test_what_is_unknown_is_empty_and_kinds_of_columns_may_alternate():
     columns = {"a": np.array([np.nan, 1.5]), "b": ("x", ""), "c": np.array([True, False]), "d": np.array([3, -4])}
-    assert format_csv(Table("kinds", columns)) == "a,b,c,d\n,x,true,3\n1.5,,false,-4"
-    assert format_csv(Table("nothing", {"a": np.zeros(0), "b": ()})) == "a,b"
+    assert Table("kinds", columns).to_csv() == "a,b,c,d\n,x,true,3\n1.5,,false,-4\n"
+    assert Table("nothing", {"a": np.zeros(0), "b": ()}).to_csv() == "a,b\n"
 
 
 def test_no_row_is_lost_where_rows_are_written_in_parts(monkeypatch: pytest.MonkeyPatch):
     table = Table("parts", {"k": np.arange(10), "text": [str(k) for k in range(10)]})
-    whole = format_csv(table)
+    whole = table.to_csv()
     for at_a_time in (1, 3, 5, 10):
-        monkeypatch.setattr(table_files, "ROWS_AT_A_TIME", at_a_time)
-        assert format_csv(table) == whole
+        monkeypatch.setattr(table_module, "ROWS_AT_A_TIME", at_a_time)
+        assert table.to_csv() == whole
