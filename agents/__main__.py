@@ -27,7 +27,7 @@ from agents.security.credentials import load_keys
 from agents.strategies.installed import list_strategies
 from agents.transport.zenoh_bus import Session
 from dsse_core import compiling, operating_system
-from dsse_core.endpoints import check_endpoints
+from dsse_core.endpoints import add_protocol, check_endpoints
 from dsse_core.errors import DsseError
 from dsse_core.limits import LONGEST_S
 
@@ -39,8 +39,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one agent; 0 after an orderly end, 2 on wrong input or a bus that cannot be reached, 3 if replaced, 4 if
     the operator has stopped it."""
     arguments = make_parser().parse_args(argv)
-    file, keys, connect = arguments.area_file, arguments.keys, arguments.connect or ()
-    return run_process(file, keys, connect, arguments.timeout, may_be_older=arguments.older_file)
+    file, keys = arguments.area_file, arguments.keys
+    connect = add_protocol(arguments.connect or (), secured=keys is not None)
+    return run_process(file, keys, connect, arguments.wait, may_be_older=arguments.older_file)
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -52,14 +53,16 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("area_file", type=Path, help="the area's file: network, meters, neighbours, endpoints")
     parser.add_argument(
-        "--connect", action="append", metavar="ENDPOINT", help="Zenoh endpoint to use instead of the file's; repeatable"
+        "--connect",
+        action="append",
+        metavar="HOST:PORT",
+        help="endpoint to use instead of the file's; repeatable",
     )
     parser.add_argument(
         "--keys", type=Path, metavar="DIR", help="show the certificate of the area in DIR (`dsse keys create`)"
     )
-    parser.add_argument(
-        "--timeout", type=_seconds, default=TIMEOUT_S, metavar="S", help="wait for the bus so long (10 s)"
-    )
+    parser.add_argument("--wait", type=_seconds, default=TIMEOUT_S, metavar="S", help="wait for the bus so long (10 s)")
+    parser.add_argument("--timeout", type=_refuse_timeout, help=argparse.SUPPRESS)
     parser.add_argument(
         "--older-file", action="store_true", help="take the place of a running agent of the area with a newer file, too"
     )
@@ -110,6 +113,10 @@ def _seconds(text: str) -> float:
     if not 0 < value <= LONGEST_S:
         raise argparse.ArgumentTypeError(f"{text} s; a time must be positive and at most a day")
     return value
+
+
+def _refuse_timeout(_: str) -> None:
+    raise argparse.ArgumentTypeError("is gone; --wait S says how long to wait for the bus")
 
 
 def run_area(

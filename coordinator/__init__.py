@@ -98,7 +98,7 @@ def simulate(
     The same scenario, seed and links give the same result to the bit. Arguments are those of ``run``, and:
 
     Args:
-        links: ``delay_s``, ``jitter_s`` or ``duplicate`` of every link, in place of the scenario's.
+        links: ``loss``, ``delay_s``, ``jitter_s`` or ``duplicate`` of every link, in place of the scenario's.
 
     >>> import consensus_dsse as dsse
     >>> lossy = dsse.load_scenario("ieee33", changes={"faults.loss": 0.3})

@@ -29,6 +29,8 @@ def find_endpoint_problem(endpoint: str, *, listens: bool = False) -> str:
     called = repr(shortened_inside(endpoint, 80))
     protocol, _, address = endpoint.partition("/")
     host, _, port = address.rpartition(":")
+    if protocol in PROTOCOLS and address and ":" not in address:
+        return f"{called}: the port is missing; {EXAMPLE}"
     if protocol not in PROTOCOLS or not host:
         return f"{called} is no endpoint, {' or '.join(f'{p}/HOST:PORT' for p in PROTOCOLS)}; {EXAMPLE}"
     if not (port.isascii() and port.isdigit() and len(port) <= 5 and int(port) <= HIGHEST_PORT):
@@ -38,6 +40,11 @@ def find_endpoint_problem(endpoint: str, *, listens: bool = False) -> str:
     if not _is_host(host):
         return f"{called}: the host is {shortened_inside(host, 40)!r}; give a name, or an address, IPv6 in brackets"
     return ""
+
+
+def add_protocol(endpoints: Iterable[str], *, secured: bool) -> tuple[str, ...]:
+    """The endpoints, each ``HOST:PORT`` with the protocol of a bus with or without certificates."""
+    return tuple(e if "/" in e else f"{'tls' if secured else 'tcp'}/{e}" for e in endpoints)
 
 
 def check_endpoints(what: str, endpoints: Iterable[str], *, listens: bool = False) -> None:

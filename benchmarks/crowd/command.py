@@ -47,7 +47,7 @@ ONLOOKERS = {
     "serve": ["serve", *LISTENS],
     "serve with the scenario": ["serve", SCENARIO, *LISTENS],
     "watch": ["watch"],
-    "watch with the scenario": ["watch", "--grid", SCENARIO, "--buses", "--meters"],
+    "watch with the scenario": ["watch", SCENARIO, "--buses", "--meters"],
     "watch --json": ["watch", "--json"],
     "metrics": ["metrics", *LISTENS],
     "record": ["record", *RECORDS],

@@ -8,26 +8,31 @@ from pathlib import Path
 
 import click
 
-from coordinator.cli.terminal import bus_timeout_option, connect_option, keys_option, notify, show
+from coordinator.cli.command import INSPECT, command
+from coordinator.cli.terminal import connect_option, keys_option, notify, show, wait_option
 from coordinator.watch.interrupts import end_orderly_on_signals
+from dsse_core.endpoints import add_protocol
 
 TABLES = ("buses", "branches")
 
 
-@click.command(short_help="Show what flows in one area of a running system.")
+@command(
+    INSPECT,
+    codes={1: "the area has published no estimate"},
+    short_help="Show what flows in one area of a running system.",
+)
 @click.argument("area_file", type=click.Path(path_type=Path))
 @connect_option(default="[default: where the area file says]")
 @keys_option
 @click.option("--json", "as_json", is_flag=True, help="Print both tables as JSON instead.")
 @click.option("--csv", type=click.Choice(TABLES), metavar="TABLE", help=f"Print one as CSV: {', '.join(TABLES)}.")
-@bus_timeout_option
+@wait_option
 def flows(
     area_file: Path, endpoints: tuple[str, ...], keys: Path | None, as_json: bool, csv: str | None, timeout: float
 ) -> int:
     """Show voltages, flows in kW and A, losses and loading of the area of AREA_FILE, as it estimates them now.
 
-    They follow from the voltages that the area publishes and from the network in AREA_FILE (`dsse split`). Exit code
-    1: the area has published no estimate.
+    They follow from the voltages that the area publishes and from the network in AREA_FILE (`dsse split`).
 
     \b
     Examples:  dsse flows areas/area1.toml
@@ -46,7 +51,8 @@ def flows(
     end_orderly_on_signals()
     content = load_area_file(area_file, list_strategies())
     name, direct = content.area.name, bool(content.listen)
-    chosen = endpoints or (content.listen if direct else content.endpoints)
+    given = add_protocol(endpoints, secured=keys is not None)
+    chosen = given or (content.listen if direct else content.endpoints)
     with attach(RunAddress(chosen, content.run, timeout, keys, direct), areas=frozenset({name})) as look:
         watcher = wait_for_state(look, name, timeout)
     view = next((area for area in watcher.look(time.monotonic()).areas if area.name == name), None)

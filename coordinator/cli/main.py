@@ -11,17 +11,18 @@ from typing import TYPE_CHECKING
 
 import click
 
+from coordinator.cli.command import STUDY, TRY, Group, command
 from coordinator.cli.figure_options import figure_options
 from coordinator.cli.flows import flows
 from coordinator.cli.live.gateway import gateway
-from coordinator.cli.live.record import record_commands
+from coordinator.cli.live.record import record, replay
 from coordinator.cli.live.serve import serve
-from coordinator.cli.live.watch import watch_commands
-from coordinator.cli.networks import network_commands, scenarios_commands
-from coordinator.cli.operator import operator_commands
+from coordinator.cli.live.watch import metrics, watch
+from coordinator.cli.networks import generate, import_file, partition, scenarios_commands
+from coordinator.cli.operator import meter, scan, stop
 from coordinator.cli.outputs import Output, check_parquet_option, hand_over, output_options, parquet_option
-from coordinator.cli.processes import keys_commands, process_commands
-from coordinator.cli.studies import study_commands, thesis
+from coordinator.cli.processes import agent, compile_, keys_commands, plant, router, split
+from coordinator.cli.studies import compare, link_options, simulate, sweep, thesis
 from coordinator.cli.terminal import (
     answering_once,
     changed,
@@ -43,6 +44,7 @@ from dsse_core import compiling
 from dsse_core.errors import DsseError
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
+    from scenarios.faults.faults import LinkChanges
     from scenarios.files.readings.file import Scans
     from scenarios.scenario import Scenario
 
@@ -106,7 +108,7 @@ def _show_version(context: click.Context, _: click.Parameter, asked: bool) -> No
         context.exit()
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.option(
     "--version",
     is_flag=True,
@@ -123,7 +125,9 @@ def commands() -> None:
     """
 
 
-@commands.command(short_help="Run a scenario as real processes and evaluate it.")
+@command(
+    TRY, codes={0: "the areas agree", 1: "they do not"}, short_help="Run a scenario as real processes and evaluate it."
+)
 @scenario_argument
 @run_folder_option
 @timeout_option
@@ -132,6 +136,7 @@ def commands() -> None:
 @figure_options
 @strategy_option
 @set_option
+@link_options
 @parquet_option
 @click.option("--secure", is_flag=True, help="Certificates, TLS and access control, with keys made for this run.")
 @click.option("--keys", type=click.Path(path_type=Path), metavar="DIR", help="The same with the keys in DIR.")
@@ -144,19 +149,18 @@ def run(
     formats: tuple[str, ...] | None,
     strategy: str | None,
     changes: Mapping[str, object],
+    links: LinkChanges,
     parquet: bool,
     secure: bool,
     keys: Path | None,
 ) -> int:
     """Run SCENARIO, a shipped name or a file: start router, plant and one agent per area, watch, evaluate.
 
-    Exit code 0: the areas agree; 1: they do not; 2: wrong input.
-
     \b
     Examples:  dsse run ieee33
                dsse run ieee33-lossy --strategy information
                dsse run my/scenario.toml --seed 7 --out results
-               dsse run ieee33 --set faults.loss=0.3 --set measurements.voltage.sigma_percent=0.5
+               dsse run ieee33 --loss 0.3 --set measurements.voltage.sigma_percent=0.5
                dsse run ieee33 --secure
                dsse run ieee33 --format pdf,svg
     """
@@ -166,7 +170,7 @@ def run(
     end_orderly_on_signals()
     with progress(scenario, quiet) as on_update:
         result = coordinator.run(
-            changed(scenario, changes),
+            changed(scenario, changes, links),
             out=out,
             seed=seed,
             strategy=strategy,
@@ -179,7 +183,7 @@ def run(
     return finish_run(result, formats, parquet)
 
 
-@commands.command(short_help="Check a scenario or an area file without running it.")
+@command(TRY, short_help="Check a scenario or an area file without running it.")
 @scenario_argument
 @set_option
 @answering_once()
@@ -208,7 +212,7 @@ def check(scenario: str, changes: Mapping[str, object]) -> None:
         show(format_area_check(load_area_file(Path(scenario), list_strategies())))
 
 
-@commands.command(short_help="Solve the power flow of the whole network.")
+@command(STUDY, short_help="Solve the power flow of the whole network.")
 @scenario_argument
 @set_option
 @output_options
@@ -240,7 +244,7 @@ def powerflow(scenario: str, changes: Mapping[str, object], output: Output) -> N
     hand_over(output, tables, lambda: power_flow_as_json(loaded, result), lambda: format_power_flow(result, tables))
 
 
-@commands.command(short_help="Estimate the whole grid in one place.")
+@command(STUDY, codes={1: "a scan has no estimate"}, short_help="Estimate the whole grid in one place.")
 @scenario_argument
 @seed_option
 @set_option
@@ -252,8 +256,7 @@ def estimate(
 ) -> int:
     """Estimate the whole grid of SCENARIO in one place, with bad-data processing: what a control centre would do.
 
-    FILE is a readings file; with a column `scan`, all of its scans are estimated. Exit code 1: there is a scan of which
-    there is no estimate.
+    FILE is a readings file; with a column `scan`, all of its scans are estimated.
 
     \b
     Examples:  dsse estimate ieee33 --seed 7
@@ -303,18 +306,10 @@ def _estimate_scans(loaded: Scenario, scans: Scans, output: Output) -> int:
 
 
 ALL = (
-    *process_commands,
-    *operator_commands,
-    *watch_commands,
-    *network_commands,
-    *study_commands,
-    *record_commands,
-    gateway,
-    serve,
-    keys_commands,
-    scenarios_commands,
-    thesis,
-    flows,
+    *(run, simulate, scenarios_commands, check),
+    *(compare, sweep, thesis, estimate, powerflow, partition, generate, import_file),
+    *(split, keys_commands, router, agent, plant, gateway, meter, scan, stop, compile_),
+    *(watch, serve, flows, metrics, record, replay),
 )
-for command in ALL:
-    commands.add_command(command)
+for each in ALL:
+    commands.add_command(each)

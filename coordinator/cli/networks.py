@@ -7,6 +7,7 @@ from typing import Literal
 
 import click
 
+from coordinator.cli.command import STUDY, TRY, Command, command, group, removed_option
 from coordinator.cli.terminal import Number, next_run, scenario_argument, show
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LARGEST_SEED
@@ -17,9 +18,10 @@ BUSES_OF_AN_AREA = 10  # the areas of a generated feeder, unless a number is giv
 MAX_DEFAULT_AREAS = 8
 
 
-@click.command(short_help="Show the areas of a scenario, or try others.")
+@command(STUDY, short_help="Show the areas of a scenario, or try others.")
 @scenario_argument
-@click.option("--count", type=click.IntRange(min=1), help="Cut into so many areas instead.")
+@click.option("--areas", "count", type=click.IntRange(min=1), help="Cut into so many areas instead.")
+@removed_option("--count", "--areas N says into how many areas to cut")
 @click.option(
     "--switches", multiple=True, metavar="BRANCHES", help="Cut at these branches instead: 6-7,6-26; repeatable."
 )
@@ -30,11 +32,11 @@ def partition(scenario: str, count: int | None, switches: tuple[str, ...], out: 
 
     \b
     Examples:  dsse partition ieee33 --out areas.png
-               dsse partition ieee33 --count 5 --toml
+               dsse partition ieee33 --areas 5 --toml
                dsse partition ieee33 --switches 6-7,6-26
     """
     if count is not None and switches:
-        raise click.UsageError("--count and --switches are two ways to cut; give one of them")
+        raise click.UsageError("--areas and --switches are two ways to cut; give one of them")
     if out is not None and out.suffix.lower() not in PICTURES:
         raise InvalidInputError("--out", [f"{out} has none of the endings {', '.join(PICTURES)}; give it one"])
     from agents.strategies.installed import list_strategies
@@ -58,7 +60,7 @@ def partition(scenario: str, count: int | None, switches: tuple[str, ...], out: 
             show(f"picture: {out}")
 
 
-@click.command(short_help="Make up a radial feeder and a scenario on it.")
+@command(STUDY, short_help="Make up a radial feeder and a scenario on it.")
 @click.option("--buses", "n_bus", type=click.IntRange(min=2, max=1_000_000), required=True, help="How many buses.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for network.toml, scenario.toml.")
 @click.option(
@@ -112,7 +114,7 @@ def generate(
     show(f"{out / network_file}\n{path}\n{next_run(path)}")
 
 
-@click.command("import", short_help="Take over a network from MATPOWER, pandapower or power-grid-model.")
+@command(STUDY, "import", short_help="Take over a network from MATPOWER, pandapower or power-grid-model.")
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for network.toml, scenario.toml.")
 @click.option("--areas", "n_area", type=click.IntRange(min=1), default=1, show_default=True, help="How many areas.")
@@ -157,10 +159,7 @@ def _check(path: Path, source: Path) -> None:
         raise InvalidInputError(f"{source} is read, but cannot be estimated as it is", error.problems) from None
 
 
-network_commands = (partition, generate, import_file)
-
-
-@click.group(name="scenarios", invoke_without_command=True)
+@group(TRY, "scenarios", invoke_without_command=True)
 @click.pass_context
 def scenarios_commands(context: click.Context) -> None:
     """List the shipped scenarios, show one, or copy one to change it.
@@ -180,7 +179,7 @@ def scenarios_commands(context: click.Context) -> None:
         show(f"{name:{width}}  {printable(description)}")
 
 
-@scenarios_commands.command(name="show", short_help="Print the file of a shipped scenario.")
+@scenarios_commands.command(name="show", cls=Command, part=TRY, short_help="Print the file of a shipped scenario.")
 @click.argument("name")
 def show_scenario(name: str) -> None:
     """Print the commented file of the shipped scenario NAME.
@@ -193,7 +192,7 @@ def show_scenario(name: str) -> None:
     show(find_scenario(name).read_text(encoding="utf-8").rstrip("\n"))
 
 
-@scenarios_commands.command(short_help="Copy a shipped scenario with its network into a folder.")
+@scenarios_commands.command(cls=Command, part=TRY, short_help="Copy a shipped scenario with its network into a folder.")
 @click.argument("name")
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 def copy(name: str, folder: Path) -> None:

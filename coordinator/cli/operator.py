@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
+from coordinator.cli.command import OPERATE, Command, command, group
 from coordinator.cli.live.address import address_options
 from coordinator.cli.terminal import notify, show
 from coordinator.watch.interrupts import end_orderly_on_signals
@@ -47,7 +48,7 @@ def operator_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return with_operator
 
 
-@click.group(short_help="Switch meters of a running system off and on.")
+@group(OPERATE, short_help="Switch meters of a running system off and on.")
 def meter() -> None:
     """Switch meters of a running system off and on, with the operator's key.
 
@@ -56,7 +57,7 @@ def meter() -> None:
     """
 
 
-@meter.command(short_help="Leave the readings of meters out.")
+@meter.command(cls=Command, part=OPERATE, short_help="Leave the readings of meters out.")
 @click.argument("meters", metavar="ID...", nargs=-1, required=True)
 @operator_options
 def off(meters: tuple[str, ...], join: Joining) -> None:
@@ -70,7 +71,7 @@ def off(meters: tuple[str, ...], join: Joining) -> None:
             show(printable(f"{area}: {name} is off"))
 
 
-@meter.command(short_help="Use the readings of meters again.")
+@meter.command(cls=Command, part=OPERATE, short_help="Use the readings of meters again.")
 @click.argument("meters", metavar="ID...", nargs=-1, required=True)
 @operator_options
 def on(meters: tuple[str, ...], join: Joining) -> None:
@@ -84,7 +85,7 @@ def on(meters: tuple[str, ...], join: Joining) -> None:
             show(printable(f"{area}: {name} is on"))
 
 
-@click.command(short_help="Have a running system make a scan at once.")
+@command(OPERATE, short_help="Have a running system make a scan at once.")
 @operator_options
 def scan(join: Joining) -> None:
     """Have the plant make a new scan at once; where gateways send the readings, all areas take the newest ones.
@@ -96,7 +97,7 @@ def scan(join: Joining) -> None:
         show(printable(operator.scan()))
 
 
-@click.command(short_help="End what is left of a run, or a running system.")
+@command(OPERATE, short_help="End what is left of a run, or a running system.")
 @click.argument("folder", metavar="[RUN_FOLDER]", type=click.Path(path_type=Path), required=False)
 @operator_options
 def stop(folder: Path | None, join: Joining) -> None:
@@ -130,6 +131,3 @@ def _stop_run(folder: Path) -> None:
         show(printable(f"run {run.id}: {count} process{'es' * (count > 1)} ended"))
     else:
         show(printable(f"run {run.id}: no process of it is left on this host"))
-
-
-operator_commands = (meter, scan, stop)

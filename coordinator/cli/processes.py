@@ -8,21 +8,24 @@ from typing import TYPE_CHECKING
 
 import click
 
+from coordinator.cli.command import OPERATE, Command, command, group, removed_option
 from coordinator.cli.terminal import (
     DEFAULT_ENDPOINT,
     SECURE_ENDPOINT,
     Number,
-    bus_timeout_option,
     check_connect,
     check_listen,
     choose_endpoints,
     connect_option,
     keys_option,
+    optional_scenario_argument,
     run_id_option,
     scenario_argument,
     seed_option,
     show,
+    wait_option,
 )
+from dsse_core.endpoints import add_protocol
 from dsse_core.limits import LONGEST_S, SHORTEST_SCAN_S
 from dsse_core.printable import printable
 
@@ -37,7 +40,7 @@ LONGEST_DAYS = 36500.0
 SCAN_SECONDS = Number(min=SHORTEST_SCAN_S, max=LONGEST_S)
 
 
-@click.command(short_help="Write one file per area.")
+@command(OPERATE, short_help="Write one file per area.")
 @scenario_argument
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the area files.")
 @run_id_option
@@ -71,8 +74,13 @@ def split(
         show(printable(out / name))
 
 
-@click.command(
-    short_help="Run the agent of one area.", context_settings={"ignore_unknown_options": True}, add_help_option=False
+@command(
+    OPERATE,
+    codes={3: "a newer process of the same area runs", 4: "the operator has stopped it"},
+    serves=True,
+    short_help="Run the agent of one area.",
+    context_settings={"ignore_unknown_options": True},
+    add_help_option=False,
 )
 @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
 def agent(arguments: tuple[str, ...]) -> int:
@@ -86,12 +94,13 @@ def agent(arguments: tuple[str, ...]) -> int:
     return main(arguments)
 
 
-@click.command(short_help="Run the router that all the others connect to.")
+@command(OPERATE, serves=True, short_help="Run the router that all the others connect to.")
 @click.option(
     "--listen",
     "endpoints",
     multiple=True,
     callback=check_listen,
+    metavar="HOST:PORT",
     help=f"Where; repeatable.  [default: {DEFAULT_ENDPOINT}; with --keys {SECURE_ENDPOINT}]",
 )
 @click.option(
@@ -99,28 +108,33 @@ def agent(arguments: tuple[str, ...]) -> int:
     "others",
     multiple=True,
     callback=check_connect,
+    metavar="HOST:PORT",
     help="Another router to link with, now or later; repeatable.",
 )
 @keys_option
 @click.option("--run", "run_id", help="Apply the rules to this run.  [default: that in DIR; the scenario's name]")
-@click.option("--scenario", metavar="NAME|FILE", help="Without keys: let only what the processes of its run say pass.")
+@optional_scenario_argument
+@removed_option("--scenario", "give the scenario without an option: dsse router SCENARIO")
 def router(
     endpoints: tuple[str, ...], others: tuple[str, ...], keys: Path | None, run_id: str | None, scenario: str | None
 ) -> int:
     """Run the Zenoh router that agents, plant and coordinator connect to, until Ctrl-C. Linked routers are one bus.
 
+    With SCENARIO, without keys: only what the processes of its run publish passes.
+
     \b
-    Examples:  dsse router --listen tcp/0.0.0.0:7447
-               dsse router --listen tls/0.0.0.0:7447 --keys keys
-               dsse router --listen tcp/0.0.0.0:7448 --connect tcp/192.0.2.7:7447
-               dsse router --scenario ieee33
+    Examples:  dsse router --listen 0.0.0.0:7447
+               dsse router --listen 0.0.0.0:7447 --keys keys
+               dsse router --listen 0.0.0.0:7448 --connect 192.0.2.7:7447
+               dsse router ieee33
     """
     from coordinator.lab.process_run.router_process import main
 
     if scenario and keys:
-        raise click.UsageError("--scenario and --keys: the rules of access beside the keys name the areas already")
-    arguments = [part for endpoint in endpoints for part in ("--listen", endpoint)]
-    arguments += [part for other in others for part in ("--connect", other)]
+        raise click.UsageError("SCENARIO and --keys: the rules of access beside the keys name the areas already")
+    secured = keys is not None
+    arguments = [part for here in add_protocol(endpoints, secured=secured) for part in ("--listen", here)]
+    arguments += [part for there in add_protocol(others, secured=secured) for part in ("--connect", there)]
     arguments += ["--keys", str(keys)] if keys else []
     arguments += ["--run", run_id] if run_id else []
     return main(arguments, _access_of(scenario, run_id) if scenario else None)
@@ -136,12 +150,17 @@ def _access_of(scenario: str, run_id: str | None) -> Access:
     return access_without_keys(loaded.partition, choose_run_id(loaded, run_id), loaded.reading_rules)
 
 
-@click.command(short_help="Publish the meter readings of a scenario.")
+@command(
+    OPERATE,
+    codes={3: "a newer plant runs", 4: "the operator has stopped it"},
+    serves=True,
+    short_help="Publish the meter readings of a scenario.",
+)
 @scenario_argument
 @connect_option()
 @keys_option
 @run_id_option
-@bus_timeout_option
+@wait_option
 @seed_option
 @click.option(
     "--every",
@@ -192,7 +211,7 @@ def plant(
     )
 
 
-@click.command("compile", short_help="Compile the solvers of large radial networks ahead.")
+@command(OPERATE, "compile", short_help="Compile the solvers of large radial networks ahead.")
 def compile_() -> None:
     """Compile the solvers of large radial networks now, so that no run has to: for an image, or by an administrator.
 
@@ -208,10 +227,7 @@ def compile_() -> None:
     show(f"kept in {ahead.folder}" if ahead.folder else f"is compiled already, in {' or '.join(ahead.found_in)}")
 
 
-process_commands = (split, agent, router, plant, compile_)
-
-
-@click.group(name="keys")
+@group(OPERATE, "keys")
 def keys_commands() -> None:
     """Certificates and private keys, for --keys and `dsse run --secure`.
 
@@ -220,7 +236,7 @@ def keys_commands() -> None:
     """
 
 
-@keys_commands.command(short_help="Make a private authority and the keys of every process.")
+@keys_commands.command(cls=Command, part=OPERATE, short_help="Make a private authority and the keys of every process.")
 @scenario_argument
 @click.option("--out", type=click.Path(path_type=Path), default="keys", show_default=True, help="Folder, new or empty.")
 @click.option(

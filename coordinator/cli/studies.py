@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from coordinator.cli.command import STUDY, TRY, command
 from coordinator.cli.figure_options import asked_for_formats, figure_options, given_arguments
 from coordinator.cli.outputs import check_parquet_option, parquet_option
 from coordinator.cli.terminal import (
@@ -56,14 +57,21 @@ executor_option = click.option(
 def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Faults of all links as options; the command gets those that are given as ``links``."""
 
+    @click.option("--loss", type=Number(0, 1), metavar="P", help="Instead of the scenario's faults.loss.")
     @click.option("--delay-ms", type=MILLISECONDS, metavar="MS", help="Instead of the scenario's faults.delay_ms.")
     @click.option("--jitter-ms", type=MILLISECONDS, metavar="MS", help="Instead of the scenario's faults.jitter_ms.")
     @click.option("--duplicate", type=Number(0, 1), metavar="P", help="Instead of the scenario's faults.duplicate.")
     @functools.wraps(command)
     def with_links(
-        *arguments: Any, delay_ms: float | None, jitter_ms: float | None, duplicate: float | None, **options: Any
+        *arguments: Any,
+        loss: float | None,
+        delay_ms: float | None,
+        jitter_ms: float | None,
+        duplicate: float | None,
+        **options: Any,
     ) -> Any:
         given = {
+            "loss": loss,
             "delay_s": None if delay_ms is None else delay_ms / 1000,
             "jitter_s": None if jitter_ms is None else jitter_ms / 1000,
             "duplicate": duplicate,
@@ -74,7 +82,11 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return with_links
 
 
-@click.command(short_help="Run a scenario on the simulator, in virtual time, repeatable to the bit.")
+@command(
+    TRY,
+    codes={0: "the areas agree", 1: "they do not"},
+    short_help="Run a scenario on the simulator, in virtual time, repeatable to the bit.",
+)
 @scenario_argument
 @run_folder_option
 @timeout_option
@@ -99,13 +111,13 @@ def simulate(
 ) -> int:
     """Run SCENARIO, a shipped name or a file, on the simulator: the same areas on a simulated bus, in this process.
 
-    Virtual time passes while messages travel and areas wait for their heartbeat; computing takes none. Verdict, files
-    and exit codes are those of `dsse run`.
+    Virtual time passes while messages travel and areas wait for their heartbeat; computing takes none. Verdict and
+    files are those of `dsse run`.
 
     \b
     Examples:  dsse simulate ieee33-lossy --strategy information
                dsse simulate ieee33 --delay-ms 20 --jitter-ms 100 --duplicate 0.1
-               dsse simulate ieee33 --set faults.loss=0.3 --set areas={count=5}
+               dsse simulate ieee33 --loss 0.3 --set areas={count=5}
     """
     from coordinator.lab.simulator.simulate import simulate_scenario
 
@@ -116,7 +128,7 @@ def simulate(
     return finish_run(result, formats, parquet)
 
 
-@click.command(short_help="Run the strategies side by side and print one table.")
+@command(STUDY, short_help="Run the strategies side by side and print one table.")
 @scenario_argument
 @strategies_option
 @click.option("--processes", is_flag=True, help="Run real processes over Zenoh instead of the simulator.")
@@ -201,7 +213,7 @@ def _run_on_simulator(scenario: Scenario, folder: Path) -> RunOutcome:
     return simulate_scenario(scenario, folder)
 
 
-@click.command(short_help="Run a scenario many times while one key varies; table and picture.")
+@command(STUDY, short_help="Run a scenario many times while one key varies; table and picture.")
 @scenario_argument
 @click.option("--vary", required=True, metavar="KEY=VALUES", help="START:STOP:N or a list, e.g. faults.loss=0:0.9:10.")
 @click.option("--seeds", type=click.IntRange(1, 100_000), default=5, show_default=True, help="Runs per value.")
@@ -288,10 +300,7 @@ def _report(plan: SweepPlan, table: SweepTable, folder: Path, formats: tuple[str
         report_sweep(folder, plan, table.rows, formats, given_arguments())
 
 
-study_commands = (simulate, compare, sweep)
-
-
-@click.command(short_help="Print the tables of the thesis beside ours.")
+@command(STUDY, short_help="Print the tables of the thesis beside ours.")
 @click.option("--table", "tables", multiple=True, metavar="NUMBER", help="Only this table, e.g. 5.9; repeatable.")
 @click.option("--summary", is_flag=True, help="Print the last table only: one line per table of the thesis.")
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help=f"Write all rows to DIR/{THESIS_FILE}.")

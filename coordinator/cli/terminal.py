@@ -16,17 +16,19 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from agents.runtime.heap import keep_all
+from coordinator.cli.command import removed_option
 from coordinator.cli.figure_options import given_arguments
 from coordinator.lab.process_run.compile_clock import clock
 from coordinator.watch.interrupts import decide
 from dsse_core.compiling import only_loading
-from dsse_core.endpoints import check_endpoints
+from dsse_core.endpoints import add_protocol, check_endpoints
 from dsse_core.limits import LARGEST_SEED, LONGEST_S
 from dsse_core.printable import printable_lines
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
     from coordinator.lab.evaluation.result import RunResult
     from coordinator.watch.observe.progress import Progress
+    from scenarios.faults.faults import LinkChanges
     from scenarios.scenario import Scenario
 
 PROGRESS_LINE_S = 1.0
@@ -64,9 +66,7 @@ run_option = click.option(
 keys_option = click.option(
     "--keys", type=click.Path(path_type=Path), metavar="DIR", help="Show the certificate in DIR (`dsse keys create`)."
 )
-bus_timeout_option = click.option(
-    "--timeout", type=SECONDS, default=10.0, show_default=True, metavar="S", help="Wait for the bus so long."
-)
+optional_scenario_argument = click.argument("scenario", required=False)
 run_folder_option = click.option(
     "--out", type=click.Path(path_type=Path), help="Run folder, new or empty.  [default: runs/SCENARIO-TIME]"
 )
@@ -96,13 +96,27 @@ def set_option(command: Callable[..., Any]) -> Callable[..., Any]:
     return with_changes
 
 
-def changed(scenario: str, changes: Mapping[str, object]) -> str | Scenario:
-    """The scenario with ``changes``; its name where there are none, so that the file is read where it is needed."""
-    if not changes:
+def changed(scenario: str, changes: Mapping[str, object], links: LinkChanges | None = None) -> str | Scenario:
+    """The scenario with ``changes`` and ``links``; its name where there are none, so that the file is read later."""
+    if not changes and not links:
         return scenario
     from coordinator.lab.evaluation.evaluation import choose_scenario
 
-    return choose_scenario(scenario, changes=changes)
+    return choose_scenario(scenario, links=links or {}, changes=changes)
+
+
+def wait_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """``--wait``; the command gets it as ``timeout``."""
+    wait = click.option(
+        "--wait",
+        "timeout",
+        type=SECONDS,
+        default=10.0,
+        show_default=True,
+        metavar="S",
+        help="Wait for the bus so long.",
+    )
+    return wait(removed_option("--timeout", "--wait S says how long to wait for the bus")(command))
 
 
 def connect_option(
@@ -117,6 +131,7 @@ def connect_option(
         "endpoints",
         multiple=True,
         callback=check_connect,
+        metavar="HOST:PORT",
         help=f"Endpoint of the router; repeatable.  {default}",
     )
 
@@ -127,7 +142,7 @@ def check_connect(_: click.Context, parameter: click.Parameter, endpoints: tuple
     Raises:
         InvalidInputError: a text is no endpoint to connect to.
     """
-    check_endpoints(parameter.opts[0], endpoints)
+    check_endpoints(parameter.opts[0], add_protocol(endpoints, secured=False))
     return endpoints
 
 
@@ -137,13 +152,13 @@ def check_listen(_: click.Context, parameter: click.Parameter, endpoints: tuple[
     Raises:
         InvalidInputError: a text is no endpoint to listen on.
     """
-    check_endpoints(parameter.opts[0], endpoints, listens=True)
+    check_endpoints(parameter.opts[0], add_protocol(endpoints, secured=False), listens=True)
     return endpoints
 
 
 def choose_endpoints(given: tuple[str, ...], secured: bool) -> tuple[str, ...]:
-    """The endpoints ``given``, or that of a router on this host."""
-    return given or (SECURE_ENDPOINT if secured else DEFAULT_ENDPOINT,)
+    """The endpoints ``given``, each with its protocol, or that of a router on this host."""
+    return add_protocol(given, secured=secured) or (SECURE_ENDPOINT if secured else DEFAULT_ENDPOINT,)
 
 
 def show(text: str) -> bool:

@@ -20,7 +20,7 @@ _TIME_IS_UP = ("SIGALRM", "SIGVTALRM", "SIGPROF", "SIGXCPU")
 _REAL_TIME = range(getattr(signal, "SIGRTMIN", 0), getattr(signal, "SIGRTMAX", -1) + 1)
 ENDS = (*(getattr(signal, name) for name in (*_ASKED, *_TIME_IS_UP) if hasattr(signal, name)), *_REAL_TIME)
 """All signals that end a process by default, except SIGKILL and those of a defect in the process."""
-INTERRUPTED_CODE = 1
+INTERRUPTED_CODE = 130  # 128 + 2, as a shell reports a process that SIGINT ended
 _state: dict[str, int | None] = {"is_command": False, "decided": None, "held": False, "came": False}
 
 

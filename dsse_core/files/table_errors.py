@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from typing import Any, get_args, get_origin
+import types
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, Tag, ValidationError
 from pydantic_core import ErrorDetails
 
 from dsse_core.files.wording import Suggestions
 
+MOST_SUGGESTED = 3  # keys of other tables
 Meant = dict[tuple[str, ...], Suggestions]
 """Keys that a table may have -> the suggestions for a file's unknown keys there, within one bound of work."""
 
@@ -26,7 +29,7 @@ def _describe(model: type[BaseModel], error: ErrorDetails, meant: Meant) -> str:
     key = key_path(step for step in location if not _is_tag(step))
     if error["type"] == "extra_forbidden":
         allowed = tuple(_allowed_keys(model, location[:-1]))
-        close = meant.setdefault(allowed, Suggestions(allowed)).find(str(location[-1]))
+        close = _suggest(model, str(location[-1]), allowed, meant)
         return f"{key}: unknown key; allowed here: {', '.join(allowed)}{close}"
     while location and _is_tag(location[-1]):
         location.pop()
@@ -40,6 +43,47 @@ def _describe(model: type[BaseModel], error: ErrorDetails, meant: Meant) -> str:
     text = error["msg"].replace("Input should", "must", 1).replace("String should", "must", 1)
     text = re.sub(r"a valid dictionary( or instance of \w+)?", "a table", text).replace("a valid tuple", "a valid list")
     return f"{key or 'the file'}: {text}, found {found}" + (f" ({meaning})" if meaning else "")
+
+
+def _suggest(model: type[BaseModel], word: str, allowed: tuple[str, ...], meant: Meant) -> str:
+    """``"; did you mean 'x'?"``: a key of another table with this last part, or a close one, here before elsewhere."""
+    elsewhere = _paths_by_name(model)
+    names = tuple(elsewhere)
+    if word not in elsewhere and (close := meant.setdefault(allowed, Suggestions(allowed)).find(word)):
+        return close
+    name = word if word in elsewhere else meant.setdefault(names, Suggestions(names)).find_word(word)
+    paths = elsewhere.get(name, ())[:MOST_SUGGESTED]
+    return f"; did you mean {' or '.join(map(repr, paths))}?" if paths else ""
+
+
+@cache
+def _paths_by_name(model: type[BaseModel]) -> Mapping[str, list[str]]:
+    """Last part of a key -> the paths of keys that end so, outermost first; items of lists and of named tables have no
+    path of their own.
+    """
+    found: dict[str, list[str]] = {}
+    tables: list[tuple[str, type[BaseModel]]] = [("", model)]
+    for before, table in tables:
+        for name, attribute in _keys(table).items():
+            found.setdefault(name, []).append(before + name)
+            inner = table.model_fields[attribute].annotation
+            tables += [(f"{before}{name}.", part) for part in _members(inner) if _is_table(part)]
+    return found
+
+
+def _members(annotation: Any) -> Iterator[Any]:
+    """The members of a union, also inside annotations; ``annotation`` itself if it is none."""
+    if get_origin(annotation) is Annotated:
+        yield from _members(get_args(annotation)[0])
+    elif get_origin(annotation) in (Union, types.UnionType):
+        for part in get_args(annotation):
+            yield from _members(part)
+    else:
+        yield annotation
+
+
+def _is_table(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
 def _show(value: object) -> str:
@@ -100,6 +144,6 @@ def _annotation_at(model: type[BaseModel], location: Iterable[int | str]) -> Any
 
 def _table_in(annotation: Any) -> type[BaseModel] | None:
     """The table that an annotation such as ``list[T]``, ``dict[str, T]`` or ``T | None`` is about."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
+    if _is_table(annotation):
+        return annotation  # type: ignore[no-any-return]
     return next((table for part in get_args(annotation) if (table := _table_in(part))), None)

@@ -22,12 +22,17 @@ class Suggestions:
 
     def find(self, word: str) -> str:
         """``"; did you mean 'x'?"`` where an allowed word is close to ``word``, else nothing."""
+        close = self.find_word(word)
+        return f"; did you mean {close!r}?" if close else ""
+
+    def find_word(self, word: str) -> str:
+        """The allowed word that is close to ``word``, else nothing."""
         self.left -= len(self.allowed)
         if self.left < 0 or len(word) > LONGEST_WORD:
             return ""
         by_small_letters = {allowed.lower(): allowed for allowed in self.allowed}
         close = get_close_matches(word.lower(), by_small_letters, n=1)
-        return f"; did you mean {by_small_letters[close[0]]!r}?" if close else ""
+        return by_small_letters[close[0]] if close else ""
 
 
 def suggest(word: str, allowed: Iterable[str]) -> str:

@@ -25,7 +25,7 @@ from scenarios.files.fault_tables import (
 Link = tuple[str, str]
 """(sending area, receiving area)."""
 LinkChanges = Mapping[str, float]
-"""``delay_s``, ``jitter_s`` and ``duplicate`` that every link is to have instead of the scenario's."""
+"""``loss``, ``delay_s``, ``jitter_s`` and ``duplicate`` that every link is to have instead of the scenario's."""
 ROUTERS = ("router", "router2")
 PROCESSES = ("plant", *ROUTERS)
 ALL_AREAS = "all"  # in place of the name of an area; no area has this name
@@ -182,7 +182,7 @@ def change_links(faults: Faults, changes: LinkChanges) -> Faults:
     """
     problems = []
     for key, value in changes.items():
-        most = 1.0 if key == "duplicate" else LONGEST_S
+        most = 1.0 if key in ("loss", "duplicate") else LONGEST_S
         if not 0 <= value <= most:
             problems.append(f"{key} is {value:g}; it must be 0 to {most:g}")
     if problems:

@@ -57,8 +57,8 @@ class SystemByHand:
         ``prefix``: the command that runs it elsewhere; ``python``: that of another environment, which then runs it.
         """
         log_path, words = self.log_of(name), list(map(str, arguments))
-        if words[0] in WAIT_FOR_A_BUS and "--timeout" not in words:
-            words += ["--timeout", str(DEADLINE_S)]  # the router may be on its way as long as a test waits
+        if words[0] in WAIT_FOR_A_BUS and "--wait" not in words:
+            words += ["--wait", str(DEADLINE_S)]  # the router may be on its way as long as a test waits
         if not prefix and python is None:
             self.processes[name] = parent().start(words, self.folder, self._environment, log_path, log_path)
             return

@@ -8,24 +8,24 @@ from pathlib import Path
 from typing import Any
 
 from coordinator.cli.terminal import (
-    bus_timeout_option,
     choose_endpoints,
     connect_option,
     direct_option,
     keys_option,
     run_option,
+    wait_option,
 )
 from coordinator.watch.observe.run_address import RunAddress
 
 
 def address_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """``--connect``, ``--direct``, ``--keys``, ``--run`` and ``--timeout`` as one ``address``."""
+    """``--connect``, ``--direct``, ``--keys``, ``--run`` and ``--wait`` as one ``address``."""
 
     @connect_option()
     @direct_option
     @keys_option
     @run_option
-    @bus_timeout_option
+    @wait_option
     @functools.wraps(command)
     def with_address(
         *arguments: Any,

@@ -6,14 +6,20 @@ from pathlib import Path
 
 import click
 
-from coordinator.cli.terminal import Number, bus_timeout_option, choose_endpoints, connect_option, keys_option, show
+from coordinator.cli.command import OPERATE, command
+from coordinator.cli.terminal import Number, choose_endpoints, connect_option, keys_option, show, wait_option
 
 
-@click.command(short_help="Publish what meters in the field read, and pass results on.")
+@command(
+    OPERATE,
+    codes={1: "with --check: something looks wrong", 3: "a newer gateway of this name runs"},
+    serves=True,
+    short_help="Publish what meters in the field read, and pass results on.",
+)
 @click.argument("map_file", metavar="MAP", type=click.Path(path_type=Path))
 @connect_option(default="[default: where MAP says]")
 @keys_option
-@bus_timeout_option
+@wait_option
 @click.option("--check", is_flag=True, help="Publish nothing: read for a while and say what looks wrong.")
 @click.option(
     "--seconds",
@@ -40,8 +46,6 @@ def gateway(
 ) -> int:
     """Read meters as MAP says, from a CSV file, JSON lines, MQTT, OPC UA, Modbus or a source of your own, and publish
     the newest reading of each until Ctrl-C. MAP gives address, meter and unit of each reading.
-
-    Exit code with --check: 0: nothing looks wrong; 1: something does.
 
     \b
     Examples:  dsse gateway map.toml --check

@@ -8,32 +8,36 @@ from typing import TYPE_CHECKING
 
 import click
 
+from coordinator.cli.command import INSPECT, command, removed_option
 from coordinator.cli.live.address import address_options
-from coordinator.cli.terminal import DEFAULT_ENDPOINT, Number, notify, quiet_option, show
+from coordinator.cli.terminal import DEFAULT_ENDPOINT, Number, notify, optional_scenario_argument, quiet_option, show
 from coordinator.watch.interrupts import end_orderly_on_signals
 from coordinator.watch.observe.run_address import RunAddress
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
     from coordinator.watch.replay.ticks import Tick
 
-NOT_WHOLE_CODE = 3  # of a replay that agrees where the recording has gaps; 2 is that of wrong input
+PARTS_CODE = 5  # of a replay that agrees where the recording has gaps
 LINE_S = 1.0  # between two lines of progress
 ABOVE_ZERO = Number(min=0, min_open=True)
 
 
-@click.command(short_help="Record what a running system uses and shows.")
+@command(INSPECT, serves=True, short_help="Record what a running system uses and shows.")
 @address_options
 @click.option("--out", type=click.Path(path_type=Path), help="Folder, new or of this run.  [default: recordings/RUN]")
 @click.option("--limit-gb", type=ABOVE_ZERO, metavar="GB", help="Remove the oldest hours beyond so many GiB.")
-@click.option("--scenario", metavar="NAME|FILE", help="What the areas were split from: adds kV, kW, A, and replay.")
+@optional_scenario_argument
+@removed_option("--scenario", "give the scenario without an option: dsse record SCENARIO")
 def record(address: RunAddress, out: Path | None, limit_gb: float | None, scenario: str | None) -> int:
     """Record readings, states, commands and presence of a running system until Ctrl-C: a log that survives kill -9.
+
+    With SCENARIO, from which the areas were split, it has kV, kW and A, and can be replayed.
 
     What has ended, each hour, becomes Parquet: readings, states, buses, branches, events. Start it again in the same
     folder after a crash: it goes on there.
 
     \b
-    Examples:  dsse record --scenario ieee33
+    Examples:  dsse record ieee33
                dsse record --connect tcp/192.0.2.7:7447 --out /var/lib/dsse --limit-gb 20
     """
     from agents.runtime.log import start_log
@@ -59,22 +63,28 @@ def record(address: RunAddress, out: Path | None, limit_gb: float | None, scenar
     return 0
 
 
-@click.command(short_help="Play a recording back.")
+@command(
+    INSPECT,
+    codes={
+        0: "all of it was played, and all good states came out again",
+        1: "some did not",
+        PARTS_CODE: "those of the scans that were played did; scans were left out, or parts of the recording are lost",
+    },
+    short_help="Play a recording back.",
+)
 @click.argument("folder", metavar="FOLDER", type=click.Path(path_type=Path))
 @click.option("--processes", is_flag=True, help="On a router and agents of its own instead of the simulator.")
 @click.option(
     "--speed", type=ABOVE_ZERO, metavar="X", help="So many times as fast as recorded.  [default: as fast as it goes]"
 )
-@click.option("--scenario", metavar="NAME|FILE", help="Areas of this scenario instead of the recorded ones.")
+@optional_scenario_argument
+@removed_option("--scenario", "give the scenario without an option: dsse replay FOLDER SCENARIO")
 @quiet_option
 def replay(folder: Path, processes: bool, speed: float | None, scenario: str | None, quiet: bool) -> int:
     """Play the readings in FOLDER, as they were used, to the same areas again, and compare what they make of them.
 
     On the simulator the states are those that were recorded, to the bit; of processes, within 1e-9. Scans of which
-    readings are missing are named and left out.
-
-    Exit code: 0: the whole recording was played, and all good states came out again; 1: some did not; 3: those of the
-    scans that were played did, but scans were left out, or parts of the recording are lost.
+    readings are missing are named and left out. SCENARIO: its areas instead of the recorded ones.
 
     \b
     Examples:  dsse replay recordings/ieee33
@@ -92,7 +102,7 @@ def replay(folder: Path, processes: bool, speed: float | None, scenario: str | N
     show(format_replay(found, "processes" if processes else "the simulator", time.monotonic() - began))
     if not found.agrees:
         return 1
-    return 0 if found.is_whole else NOT_WHOLE_CODE
+    return 0 if found.is_whole else PARTS_CODE
 
 
 class _Progress:
@@ -107,6 +117,3 @@ class _Progress:
         if time.monotonic() >= self._next:
             self._next = time.monotonic() + LINE_S
             notify(f"{self._scans} scans, the last is {tick.scan}")
-
-
-record_commands = (record, replay)

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from coordinator.cli.command import INSPECT, command
 from coordinator.cli.live.address import address_options
-from coordinator.cli.terminal import notify, set_option, show
+from coordinator.cli.terminal import notify, optional_scenario_argument, set_option, show
 from coordinator.watch.interrupts import end_orderly_on_signals
 from coordinator.watch.observe.run_address import RunAddress
 from dsse_core.errors import InvalidInputError
@@ -22,8 +23,8 @@ if TYPE_CHECKING:  # the real imports stand in the command, so that every other 
     from coordinator.show.web.sources import Source
 
 
-@click.command(short_help="Show a running system, or a simulated run, as a page in a browser.")
-@click.argument("scenario", required=False)
+@command(INSPECT, serves=True, short_help="Show a running system, or a simulated run, as a page in a browser.")
+@optional_scenario_argument
 @click.option("--simulate", "is_simulated", is_flag=True, help="Run SCENARIO on the simulator, and play that back.")
 @click.option("--recording", type=click.Path(path_type=Path), help="Play back what `dsse record` has put there.")
 @set_option

@@ -11,8 +11,17 @@ from typing import TYPE_CHECKING
 
 import click
 
+from coordinator.cli.command import INSPECT, command, removed_option
 from coordinator.cli.live.address import address_options
-from coordinator.cli.terminal import choose_endpoints, connect_option, direct_option, keys_option, run_option, show
+from coordinator.cli.terminal import (
+    choose_endpoints,
+    connect_option,
+    direct_option,
+    keys_option,
+    optional_scenario_argument,
+    run_option,
+    show,
+)
 from coordinator.watch.interrupts import end_orderly_on_signals
 from coordinator.watch.observe.run_address import RunAddress
 
@@ -30,30 +39,37 @@ DEFAULT_LISTEN = "127.0.0.1:9464"  # of `dsse metrics`
 ATTEMPT_S = 2.0  # to reach the bus; meanwhile `dsse metrics` answers requests, then it tries again
 
 
-@click.command(short_help="Watch a running system from outside.")
+@command(
+    INSPECT,
+    codes={1: "with --once: no area was received"},
+    serves=True,
+    short_help="Watch a running system from outside.",
+)
 @address_options
-@click.option("--grid", metavar="SCENARIO", help="Its network and meters: kV and kW, and meters that are silent.")
+@optional_scenario_argument
+@removed_option("--grid", "give the scenario without an option: dsse watch SCENARIO")
 @click.option("--buses", is_flag=True, help="Show the voltage of every bus, too.")
 @click.option("--meters", is_flag=True, help="Show every reading and its normalised residual, too.")
 @click.option("--once", is_flag=True, help="Show it once, when all areas that are there have been received, and end.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
-def watch(address: RunAddress, grid: str | None, buses: bool, meters: bool, once: bool, as_json: bool) -> int:
+def watch(address: RunAddress, scenario: str | None, buses: bool, meters: bool, once: bool, as_json: bool) -> int:
     """Watch the areas of a running system, started by any command: how good their estimates are, and why not better.
 
     A line for each area: quality, scan, age, range of voltages, and the meter of the largest normalised
-    residual; below it the reason for its quality. --json has all that is known.
+    residual; below it the reason for its quality. SCENARIO adds kV and kW, and meters that are silent. --json has all
+    that is known.
 
-    Ctrl-C ends the watching and nothing else. Exit code 1: with --once, no area was received.
+    Ctrl-C ends the watching and nothing else.
 
     \b
     Examples:  dsse watch
-               dsse watch --grid ieee33 --buses --meters
+               dsse watch ieee33 --buses --meters
                dsse watch --connect tcp/192.0.2.7:7447 --once --json
     """
     from coordinator.watch.observe.attachment import attach, wait_until_whole
 
     end_orderly_on_signals()
-    known = _load_grid(grid)
+    known = _load_grid(scenario)
     find_tables = _tables_of(known, buses or as_json, meters or as_json)
     areas = frozenset(area.name for area in known.partition.areas) if known else None
     try:
@@ -64,19 +80,20 @@ def watch(address: RunAddress, grid: str | None, buses: bool, meters: bool, once
                 return 0 if watcher.is_whole() else 1
             live = sys.stdout.isatty() and not as_json
             _show_on(lambda: look.for_whole(UPDATE_S), find_tables, live, as_json)
-            return 0
     except KeyboardInterrupt:
-        return 0
+        if once:
+            raise
+    return 0
 
 
-def _load_grid(grid: str | None) -> GridTables | None:
-    """The network and the meters of scenario ``grid``."""
-    if grid is None:
+def _load_grid(scenario: str | None) -> GridTables | None:
+    """The network and the meters of ``scenario``."""
+    if scenario is None:
         return None
     from coordinator.watch.observe.grid_tables import GridTables
     from scenarios.scenario import load_scenario
 
-    return GridTables(load_scenario(grid))
+    return GridTables(load_scenario(scenario))
 
 
 def _tables_of(known: GridTables | None, buses: bool, meters: bool) -> Tables:
@@ -130,7 +147,7 @@ def _format(watcher: Watcher, find_tables: Tables, as_json: bool) -> str:
     return format_view(view, [table for name, table in tables.items() if name != BRANCHES])
 
 
-@click.command(short_help="Serve /metrics, /health and /ready of a running system over HTTP.")
+@command(INSPECT, serves=True, short_help="Serve /metrics, /health and /ready of a running system over HTTP.")
 @click.option("--listen", default=DEFAULT_LISTEN, show_default=True, metavar="HOST:PORT", help="Where to answer.")
 @click.option(
     "--name",
@@ -167,6 +184,3 @@ def metrics(
     with MetricsPage(*parse_listen(listen, DEFAULT_LISTEN), names) as page:
         serve_metrics(page, lambda: attach(address), renews=keys is not None)
     return 0
-
-
-watch_commands = (watch, metrics)

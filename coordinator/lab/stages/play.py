@@ -92,7 +92,7 @@ def load_replay_areas(folder: Path, scenario: Scenario | None = None) -> list[Co
     about = read_about(folder)
     files = load_areas(folder) if scenario is None else area_files(scenario, about.run, ["tcp/127.0.0.1:7447"])
     if not files:
-        problem = "was recorded without its area files; give the scenario of the split with --scenario"
+        problem = "was recorded without its area files; give the scenario of the split: dsse replay FOLDER SCENARIO"
         raise InvalidInputError(str(folder), [problem])
     made = [replace(c, readings=DEFAULT_RULES, clock_error_s=0.0, scan_s=None) for c in files]
     return stamp_split(made, time.time())

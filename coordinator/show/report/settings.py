@@ -125,7 +125,7 @@ def guess_arguments(scenario: Scenario, command: str, links: Mapping[str, float]
     for key, value in scenario.changes.items():
         options += ["--set", f"{key}={write_value(value)}"]
     links = links or {}
-    for key, option in (("delay_s", "--delay-ms"), ("jitter_s", "--jitter-ms"), ("duplicate", "--duplicate")):
-        if key in links:
-            options += [option, f"{links[key] * (1 if key == 'duplicate' else 1000):g}"]
+    for key, value in links.items():
+        in_ms = key.endswith("_s")
+        options += [f"--{key.removesuffix('_s')}-ms" if in_ms else f"--{key}", f"{value * (1000 if in_ms else 1):g}"]
     return [command, str(scenario.path), *options]

@@ -41,9 +41,7 @@ def test_a_watcher_that_comes_later_is_told_while_both_are_there(dsse, tmp_path:
                 session.declare_presence(live_key(run, "area", "area2", begin_incarnation()))
 
             def is_shown() -> bool:
-                done = dsse(
-                    "watch", "--grid", run, "--connect", endpoint, "--run", run, "--once", "--json", "--timeout", "2"
-                )
+                done = dsse("watch", run, "--connect", endpoint, "--run", run, "--once", "--json", "--wait", "2")
                 shown = json.loads(done.stdout)["duplicates"] if done.stdout else []
                 return any("2 agents of area area2 publish at once" in line for line in shown)
 

@@ -37,8 +37,8 @@ COMMANDS = {  # with the exit code; a command that needs a running system finds 
     "run industrial13 --strategy information --out run --quiet --no-plots": 0,
     "stop run": 0,
     "replay recorded": 2,
-    "plant industrial13 --connect tcp/127.0.0.1:9 --timeout 0.1": 2,
-    "watch --connect tcp/127.0.0.1:9 --timeout 0.1": 2,
+    "plant industrial13 --connect tcp/127.0.0.1:9 --wait 0.1": 2,
+    "watch --connect tcp/127.0.0.1:9 --wait 0.1": 2,
 }
 DRIVER = """
 import json, sys

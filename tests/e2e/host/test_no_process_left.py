@@ -49,7 +49,7 @@ def test_a_signal_to_the_terminals_process_group_stops_everything(
     run.wait_until_joined("area1", "area2")
     os.killpg(run.process.pid, number)
     code, out, err = run.end()
-    assert code == 1
+    assert code == 130
     assert "interrupted" in err
     assert "Traceback" not in out + err
     assert_nothing_left(run.pids())

@@ -32,9 +32,7 @@ def recording(dsse: Dsse, tmp_path: Path) -> Path:
     with SystemByHand(tmp_path) as system:
         system.start("router", "router", "--listen", endpoint)
         where = "--connect", endpoint
-        system.start(
-            "recorder", "record", *where, "--run", "industrial13", "--scenario", "industrial13", "--out", "rec"
-        )
+        system.start("recorder", "record", "industrial13", *where, "--run", "industrial13", "--out", "rec")
         wait_until(lambda: any((tmp_path / "rec" / LOGS).glob("*.log")))
         for name in AREAS:
             system.start(name, "agent", f"areas/{name}.toml")
@@ -97,5 +95,5 @@ def test_a_folder_of_another_run_is_one_clear_error(dsse: Dsse, tmp_path: Path) 
     (tmp_path / "rec" / "recording.json").write_text('{"format": 1, "run": "other", "areas": []}')
     done = dsse("replay", "rec")
     assert done.returncode == 2
-    assert "give the scenario of the split with --scenario" in done.stderr
+    assert "give the scenario of the split: dsse replay FOLDER SCENARIO" in done.stderr
     assert "Traceback" not in done.stderr

@@ -25,8 +25,8 @@ def test_a_system_started_one_after_the_other_agrees_whoever_is_first(dsse, tmp_
     assert dsse("split", "ieee33", "--out", "areas", "--connect", endpoint).returncode == 0
     commands: dict[str, tuple[object, ...]] = {
         "router": ("router", "--listen", endpoint),
-        "plant": ("plant", "ieee33", "--connect", endpoint, "--timeout", str(DEADLINE_S)),
-        **{f"area{i}": ("agent", f"areas/area{i}.toml", "--timeout", str(DEADLINE_S)) for i in (1, 2, 3)},
+        "plant": ("plant", "ieee33", "--connect", endpoint, "--wait", str(DEADLINE_S)),
+        **{f"area{i}": ("agent", f"areas/area{i}.toml", "--wait", str(DEADLINE_S)) for i in (1, 2, 3)},
     }
     with SystemByHand(tmp_path) as system:
         for name in order:

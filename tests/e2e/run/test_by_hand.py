@@ -19,7 +19,7 @@ from agents.transport.zenoh_bus import Session
 from tests.support.dsse_command import COMMAND, ENVIRONMENT, free_endpoint
 from tests.support.waiting import DEADLINE_S
 
-PATIENCE = ("--timeout", str(DEADLINE_S))  # with the router, which starts beside
+PATIENCE = ("--wait", str(DEADLINE_S))  # with the router, which starts beside
 
 
 def test_agents_started_by_hand_agree_and_end_with_exit_code_0(dsse, tmp_path: Path):

@@ -78,7 +78,7 @@ def test_with_the_key_of_an_area_nobody_is_taken_for_the_router(
                     lambda: all("shows the certificate of 'area3'" in system.read_log(a) for a in (*AREAS, "plant"))
                 )
             attack(impostor, system.lies() | {state_key(RUN, area): forge_state(area) for area in AREAS})
-            system.start("watch", "watch", "--once", "--json", "--timeout", "3", *system.connect())
+            system.start("watch", "watch", "--once", "--json", "--wait", "3", *system.connect())
             assert system.processes["watch"].wait(DEADLINE_S) in (1, 2)  # nothing to be seen, or no router at all
             assert not impostor.received
             assert not impostor.seen

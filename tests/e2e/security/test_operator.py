@@ -31,7 +31,7 @@ class System:
         self.dsse, self.processes, self.watcher, self.endpoint, self.keys = dsse, system, watcher, endpoint, keys
 
     def order(self, *arguments: str, keys: list[str] | None = None) -> subprocess.CompletedProcess[str]:
-        patience = () if "--timeout" in arguments else ("--timeout", str(DEADLINE_S))
+        patience = () if "--wait" in arguments else ("--wait", str(DEADLINE_S))
         return self.dsse(*arguments, *patience, "--connect", self.endpoint, *(self.keys if keys is None else keys))
 
     def spared(self, area: str) -> str:
@@ -147,7 +147,7 @@ def test_an_area_that_is_away_is_named_and_the_others_follow(system: System):
 def test_an_area_that_cannot_record_a_command_rejects_it_and_the_operator_learns_why(system: System):
     meter = system.spared("area2")
     (system.processes.folder / "areas" / f"{RUN}.area2.operator.json").mkdir()  # no file can take its place
-    done = system.order("meter", "off", meter, "--timeout", "8")
+    done = system.order("meter", "off", meter, "--wait", "8")
     assert (done.returncode, done.stdout) == (2, "")
     assert "area2 has not followed the command within 8 s: it rejects: command that cannot be recorded" in done.stderr
     assert "area2.operator.json: Is a directory" in system.processes.read_log("area2")
@@ -184,7 +184,7 @@ def test_where_areas_link_directly_the_operator_links_with_each(
 ):
     with KeysByHand(tmp_path, scenario_of(edited_scenario, "neighbours")) as system:
         system.start_others()
-        patience = "--timeout", str(DEADLINE_S)
+        patience = "--wait", str(DEADLINE_S)
         wait_until(
             lambda: all("scan 1" in system.read_log(area) or "estimates" in system.read_log(area) for area in AREAS)
         )

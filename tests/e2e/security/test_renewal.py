@@ -42,7 +42,7 @@ def revoke(system: KeysByHand, name: str) -> None:
 def watched_areas(dsse: Callable, system: KeysByHand) -> dict[str, dict]:
     """What ``dsse watch`` sees of the areas that are there."""
     direct = ["--direct"] if system.direct else []
-    done = dsse("watch", *direct, "--once", "--json", "--timeout", "5", *system.connect())
+    done = dsse("watch", *direct, "--once", "--json", "--wait", "5", *system.connect())
     return {n: a for n, a in json.loads(done.stdout)["areas"].items() if a["state"] != "gone"} if done.stdout else {}
 
 

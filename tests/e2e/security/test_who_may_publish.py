@@ -110,7 +110,7 @@ def log_since(system: Secured, before: int) -> str:
 
 def test_an_agent_of_another_authority_is_kept_out_and_reported_why(dsse, system: Secured, others: Path):
     before = len(system.read_log("router"))
-    done = dsse("agent", system.files["area3"], "--keys", others, "--timeout", "1")
+    done = dsse("agent", system.files["area3"], "--keys", others, "--wait", "1")
     assert done.returncode == 2
     assert f"{system.endpoint}: its certificate is rejected here" in done.stderr
     assert "Traceback" not in done.stderr
@@ -135,7 +135,7 @@ def test_an_agent_without_a_certificate_is_kept_out(dsse, system: Secured):
     assert f"{system.endpoint} needs a certificate and a private key; give their folder with --keys" in done.stderr
     before = len(system.read_log("router"))
     plain = system.endpoint.replace("tls/", "tcp/")
-    done = dsse("agent", system.files["area3"], "--connect", plain, "--timeout", "1")
+    done = dsse("agent", system.files["area3"], "--connect", plain, "--wait", "1")
     assert done.returncode == 2
     assert f"cannot reach {plain}" in done.stderr
     wait_until(lambda: "corrupt message" in log_since(system, before))

@@ -49,6 +49,6 @@ def test_an_area_that_publishes_nothing_is_named(dsse, tmp_path: Path):
     with SystemByHand(tmp_path) as system:
         system.start("router", "router", "--listen", endpoint)
         wait_until(lambda: "listening on" in system.read_log("router"))
-        done = dsse("flows", "areas/area1.toml", "--timeout", "2")
+        done = dsse("flows", "areas/area1.toml", "--wait", "2")
     assert done.returncode == 1
     assert "area area1 of run industrial13 has published no estimate within 2 s" in done.stderr

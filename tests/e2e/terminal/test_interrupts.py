@@ -69,7 +69,7 @@ def interrupted_at(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[
 )
 def test_ctrl_c_while_modules_are_loaded_shows_no_traceback(interrupted_at, command: str, module: str):
     done = interrupted_at(module, *command.split())
-    assert (done.returncode, done.stdout, done.stderr.strip()) == (1, "", "interrupted")
+    assert (done.returncode, done.stdout, done.stderr.strip()) == (130, "", "interrupted")
 
 
 def test_ctrl_c_while_workers_of_a_sweep_load_their_modules_is_left_to_the_command(interrupted_at):

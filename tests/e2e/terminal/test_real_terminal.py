@@ -104,7 +104,7 @@ def test_a_watcher_in_a_terminal_shows_what_strangers_say_and_obeys_none_of_it(t
                 output = str(screen.before) + SHOWN
                 screen.kill(signal.SIGINT)
                 rest, code = read_all(screen)
-                once = terminal(tmp_path, "watch", "--connect", endpoint, "--run", "run", "--once", "--timeout", "8")
+                once = terminal(tmp_path, "watch", "--connect", endpoint, "--run", "run", "--once", "--wait", "8")
                 lines, _ = read_all(once)
         assert system.end("router") == 0
     assert code == 0

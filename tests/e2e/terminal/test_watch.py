@@ -110,14 +110,14 @@ def test_the_watching_ends_when_nobody_reads_it_any_more(watching):
 
 
 def test_a_pattern_is_no_run_to_watch(dsse):
-    done = dsse("watch", "--run", "a/*", "--once", "--timeout", "1")
+    done = dsse("watch", "--run", "a/*", "--once", "--wait", "1")
     assert done.returncode == 2
     assert "'a/*' may only contain a-z, 0-9, _ and -" in done.stderr
 
 
 def test_a_bus_without_a_run_and_a_bus_that_is_not_there_are_distinguished(dsse):
     endpoint = free_endpoint()
-    done = dsse("watch", "--connect", endpoint, "--timeout", "0.3")
+    done = dsse("watch", "--connect", endpoint, "--wait", "0.3")
     assert done.returncode == 2
     assert f"cannot reach {endpoint}" in done.stderr
     command = [sys.executable, "-m", "coordinator.lab.process_run.router_process", "--listen", endpoint]
@@ -125,7 +125,7 @@ def test_a_bus_without_a_run_and_a_bus_that_is_not_there_are_distinguished(dsse)
     try:
         assert router.stdout is not None
         assert router.stdout.readline().startswith("listening on")
-        done = dsse("watch", "--connect", endpoint, "--timeout", "3")
+        done = dsse("watch", "--connect", endpoint, "--wait", "3")
         assert done.returncode == 2
         assert "no area publishes anything on this bus within 3 s" in done.stderr
     finally:

@@ -49,7 +49,7 @@ def test_an_occupied_endpoint_is_named(dsse, edited_scenario):
 def test_an_agent_that_reaches_no_router_says_so(dsse):
     assert dsse("split", "industrial13", "--out", "areas").returncode == 0
     endpoint = free_endpoint()
-    done = dsse("agent", "areas/area1.toml", "--connect", endpoint, "--timeout", 1)
+    done = dsse("agent", "areas/area1.toml", "--connect", endpoint, "--wait", 1)
     assert done.returncode == 2
     assert f"error: cannot reach {endpoint}" in done.stderr
     assert "Traceback" not in done.stderr
@@ -57,7 +57,7 @@ def test_an_agent_that_reaches_no_router_says_so(dsse):
 
 def test_a_plant_that_reaches_no_router_says_so(dsse):
     endpoint = free_endpoint()
-    done = dsse("plant", "industrial13", "--connect", endpoint, "--timeout", 1)
+    done = dsse("plant", "industrial13", "--connect", endpoint, "--wait", 1)
     assert done.returncode == 2
     assert f"error: cannot reach {endpoint}" in done.stderr
 

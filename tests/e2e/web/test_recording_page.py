@@ -55,7 +55,7 @@ def recording(dsse: Any, tmp_path: Path) -> Path:
     with agreeing_system(dsse, tmp_path) as (system, watcher, endpoint, _):
         assert system.end("plant") == 0
         system.start("plant", "plant", "industrial13", "--connect", endpoint, "--every", "0.5")
-        system.start("recorder", "record", "--connect", endpoint, "--scenario", "industrial13", "--out", "rec")
+        system.start("recorder", "record", "industrial13", "--connect", endpoint, "--out", "rec")
         wait_until(lambda: "recording run industrial13" in system.read_log("recorder"))
         seen: set[int] = set()
 

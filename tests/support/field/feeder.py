@@ -168,7 +168,7 @@ class FeederUnderWay:
         to = ("--connect", endpoint)
         self.commands: dict[str, tuple[object, ...]] = {
             "router": ("router", "--listen", endpoint),
-            "record": ("record", *to, "--run", scenario.name, "--out", "recording", "--scenario", path),
+            "record": ("record", path, *to, "--run", scenario.name, "--out", "recording"),
             "metrics": ("metrics", *to, "--run", scenario.name, "--listen", f"127.0.0.1:{self.port}"),
             **{area: ("agent", f"areas/{area}.toml") for area in WAYS},
             **{way: ("gateway", path.parent / f"{way}.toml", *to) for way in dict.fromkeys(WAYS.values())},

@@ -29,7 +29,7 @@ def test_the_areas_of_a_scenario_are_printed_with_a_summary(dsse) -> None:
 
 
 def test_another_cut_is_tried_without_touching_the_file_whatever_its_faults_name(dsse) -> None:
-    code, out, _ = dsse("partition", "ieee33-load-error", "--count", 2)
+    code, out, _ = dsse("partition", "ieee33-load-error", "--areas", 2)
     assert code == 0
     assert "33 buses in 2 areas" in out
 
@@ -42,7 +42,7 @@ def test_switches_are_named_one_by_one_or_with_commas(dsse, switches: list[str])
 
 
 def test_one_area_has_no_path_and_no_boundary(dsse) -> None:
-    code, out, _ = dsse("partition", "ieee33", "--count", 1)
+    code, out, _ = dsse("partition", "ieee33", "--areas", 1)
     assert code == 0
     assert "path" not in out
 
@@ -57,7 +57,7 @@ def test_pasted_bus_lists_make_the_same_areas(scenario: str) -> None:
 
 
 def test_toml_is_all_that_is_printed_when_it_is_asked_for(dsse, tmp_path: Path) -> None:
-    code, out, _ = dsse("partition", "ieee33", "--count", 4, "--toml", "--out", tmp_path / "areas.svg")
+    code, out, _ = dsse("partition", "ieee33", "--areas", 4, "--toml", "--out", tmp_path / "areas.svg")
     assert code == 0
     assert list(tomllib.loads(out)["areas"]) == ["area1", "area2", "area3", "area4"]
     assert (tmp_path / "areas.svg").stat().st_size > 0
@@ -74,9 +74,9 @@ def test_areas_are_drawn_into_a_new_folder(dsse, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        (("--count", "3", "--switches", "6-7"), "give one of them"),
-        (("--count", "0"), "0 is not in the range"),
-        (("--count", "99"), "at most 32"),
+        (("--areas", "3", "--switches", "6-7"), "give one of them"),
+        (("--areas", "0"), "0 is not in the range"),
+        (("--areas", "99"), "at most 32"),
         (("--switches", "6-77"), "did you mean '6-7'?"),
         (("--out", "areas.bmp"), "none of the endings .png, .pdf, .svg"),
     ],

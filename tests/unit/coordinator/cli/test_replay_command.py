@@ -19,8 +19,8 @@ HOLE = {"left_out": {3: "no readings of area2 are recorded"}}
     ("found", "code"),
     [
         (Comparison(**GOOD), 0),
-        (Comparison(**GOOD, **HOLE), 3),
-        (Comparison(**GOOD, notes=["lost: {}"]), 3),
+        (Comparison(**GOOD, **HOLE), 5),
+        (Comparison(**GOOD, notes=["lost: {}"]), 5),
         (Comparison(**GOOD, **HOLE, largest=np.ones(4)), 1),
     ],
     ids=["whole", "a scan is left out", "entries are lost", "another state"],

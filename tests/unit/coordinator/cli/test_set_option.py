@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 
 from coordinator.cli.main import run_command
+from coordinator.cli.terminal import changed
 from coordinator.lab.studies.sweep_plan import make_plan, parse_vary
 from dsse_core.errors import InvalidInputError
 from scenarios.files.key_values import parse_settings
-from scenarios.scenario import load_scenario
+from scenarios.scenario import Scenario, load_scenario
 
 
 @pytest.mark.parametrize(
@@ -48,6 +49,16 @@ def test_every_kind_of_run_takes_settings_and_its_files_say_them(
     assert content["verdict"]["lost"] > 0
     assert run_command(["compare", "ieee33", "--strategies", "information", "--set", "areas={count=4}"]) == 0
     assert "33 buses in 4 areas" in capsys.readouterr().out
+
+
+def test_faults_of_all_links_have_options_of_their_own(tmp_path: Path) -> None:
+    options = ("--loss", "0.2", "--delay-ms", "3", "--quiet", "--no-plots", "--out", str(tmp_path / "a"))
+    assert run_command(["simulate", "industrial13", *options]) == 0
+    content: Mapping[str, Any] = json.loads((tmp_path / "a" / "result.json").read_text(encoding="utf-8"))
+    assert content["verdict"]["lost"] > 0
+    scenario = changed("industrial13", {}, {"loss": 0.2, "delay_s": 0.003})
+    assert isinstance(scenario, Scenario)
+    assert {(faults.loss, faults.delay_s) for faults in scenario.faults.links.values()} == {(0.2, 0.003)}
 
 
 @pytest.mark.parametrize("command", ["run", "simulate", "compare", "check", "sweep"])

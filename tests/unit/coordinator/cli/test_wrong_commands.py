@@ -41,6 +41,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("check a-folder", "the file or folder 'a-folder' is not looked at"),
         ("run ieee33 --strategy infomation", "did you mean 'information'?"),
         ("compare ieee33 --strategies admn", "did you mean 'admm'?"),
+        ("check ieee33 --set loss=0.3", "did you mean 'faults.loss'"),
         ("sweep ieee33 --vary areas=3", "areas: must be a table, found 3 (one [areas.NAME] with its buses for each"),
         ("simulate ieee33 --out a-file", "run folder a-file: 1 problem\n  - cannot be made: a file is in its way"),
         ("simulate ieee33 --out a-file/new", "cannot be made: a file is in its way; choose another place"),
@@ -56,10 +57,38 @@ def test_a_likely_mistake_is_answered_with_what_to_do(
     assert len(output.splitlines()) == 2
 
 
+@pytest.mark.parametrize(
+    ("arguments", "instead"),
+    [
+        ("watch --grid ieee33", "dsse watch SCENARIO"),
+        ("record --scenario ieee33", "dsse record SCENARIO"),
+        ("replay a-folder --scenario ieee33", "dsse replay FOLDER SCENARIO"),
+        ("router --scenario ieee33", "dsse router SCENARIO"),
+        ("partition ieee33 --count 3", "--areas N"),
+        *((f"{command} --timeout 3", "--wait S") for command in ("watch", "scan", "plant ieee33", "gateway map.toml")),
+    ],
+)
+def test_a_former_option_is_refused_with_what_took_its_place(
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: str, instead: str
+):
+    assert run_command(arguments.split()) == 2
+    output = capsys.readouterr().err
+    assert " is gone; " in output
+    assert instead in output
+    run_command([arguments.split()[0], "--help"])
+    assert "removed" not in capsys.readouterr().out
+
+
+def test_the_former_option_of_an_agent_is_refused_too(folder: Path, capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit):
+        run_command(["agent", "areas/area1.toml", "--timeout", "3"])
+    assert "--timeout: is gone; --wait S" in capsys.readouterr().err
+
+
 def test_a_time_that_is_no_number_is_quoted(folder: Path, capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit):
-        run_command(["agent", "areas/area1.toml", "--timeout", "soon"])
-    assert "--timeout: 'soon' is no number of seconds" in capsys.readouterr().err
+        run_command(["agent", "areas/area1.toml", "--wait", "soon"])
+    assert "--wait: 'soon' is no number of seconds" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("vary", ["areas=" + "[" * 5000, "faults.loss=" + "9" * 5000, f"x[{'9' * 5000}].loss=1"])

@@ -29,6 +29,22 @@ def test_an_unknown_key_at_the_top_is_rejected(tmp_path: Path) -> None:
     assert problem.startswith("seeed: unknown key; allowed here: version, name, description, seed, network,")
 
 
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("loss", "'faults.loss' or 'faults.burst.loss'"),
+        ("scan_s", "'run.scan_s'"),
+        ("voltage", "'measurements.voltage'"),
+        ("sigma_percnt", "'measurements.voltage.sigma_percent' or"),
+        ("seeed", "'seed'"),
+    ],
+)
+def test_a_key_of_another_table_is_found_by_its_last_part(typed: str, meant: str) -> None:
+    with pytest.raises(InvalidInputError) as caught:
+        load_scenario("ieee33", changes={typed: 1})
+    assert f"; did you mean {meant}" in the_only(caught.value.problems)
+
+
 def test_an_unknown_key_inside_a_named_area_is_rejected_with_what_an_area_allows(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed("[areas.area2]", "[areas.area2]\nbusses = [1]")))
     assert problem == (

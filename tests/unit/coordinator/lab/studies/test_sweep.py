@@ -113,7 +113,7 @@ def test_an_interrupted_sweep_keeps_what_is_done_and_goes_on(
         return real(scenario)
 
     monkeypatch.setattr(sweep_module, "run_on_simulator", interrupted_after_one)
-    assert sweep(tmp_path / "s") == 1
+    assert sweep(tmp_path / "s") == 130
     assert len(rows_in(tmp_path / "s")) == 1
     assert f"--out {tmp_path / 's'} goes on from there" in capsys.readouterr().err
     monkeypatch.setattr(sweep_module, "run_on_simulator", real)

@@ -289,10 +289,24 @@ def test_a_port_that_is_taken_is_one_clear_error(page: MetricsPage):
         MetricsPage("127.0.0.1", page.port)
 
 
-@pytest.mark.parametrize("text", ["9464", "127.0.0.1", "127.0.0.1:http", ":9464", "127.0.0.1:70000"])
-def test_where_to_listen_must_be_a_host_and_a_port(text: str):
-    with pytest.raises(InvalidInputError, match="HOST:PORT"):
+@pytest.mark.parametrize(
+    ("text", "wrong"),
+    [
+        ("9464", "the host is missing"),
+        ("127.0.0.1", "the port is missing"),
+        ("127.0.0.1:http", "the port is 'http'"),
+        (":9464", "the host is missing"),
+        ("127.0.0.1:70000", "the port is '70000'"),
+        ("tcp/127.0.0.1:80", "'tcp/' is too much"),
+        ("http://127.0.0.1:80", "'http://' is too much"),
+        ("::1:80", "an IPv6 address stands in brackets"),
+    ],
+)
+def test_of_a_place_to_listen_the_error_says_first_what_is_wrong(text: str, wrong: str):
+    with pytest.raises(InvalidInputError) as error:
         parse_listen(text, "127.0.0.1:9464")
+    assert error.value.problems[0].startswith(wrong)
+    assert error.value.problems[0].endswith("HOST:PORT looks like 127.0.0.1:9464")
 
 
 def test_hosts_of_both_families_are_read():

@@ -128,7 +128,7 @@ def test_without_area_files_a_scenario_must_be_given(tmp_path: Path) -> None:
         log = SegmentLog(tmp_path)
         Recorder(log, RUN).take([entry_of(make_readings(load_areas_of()[0]))])
         log.close()
-    with pytest.raises(InvalidInputError, match="give the scenario of the split with --scenario"):
+    with pytest.raises(InvalidInputError, match="give the scenario of the split: dsse replay FOLDER SCENARIO"):
         play_on_simulator(tmp_path)
 
 
