@@ -1,6 +1,7 @@
-"""Tables of keys in the reference pages, written from the schemas of the files: ``python docs/key_tables.py``.
+"""Tables of keys and columns in the reference pages, written from their schemas: ``python docs/key_tables.py``.
 
-A page has ``<!-- keys SCHEMA ... -->`` above each table. Each schema adds the keys that
+A page has ``<!-- columns CLASS -->`` above a table of columns, one row for those that a string in the class explains
+together, and ``<!-- keys SCHEMA ... -->`` above each table of keys. Each schema adds the keys that
 it does not inherit. The meaning of a key is the string below its field, or without one the field's description.
 """
 
@@ -13,6 +14,7 @@ import itertools
 import re
 import textwrap
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, get_args
 
@@ -22,6 +24,7 @@ from agents.area_files.tables import PlainKeys
 from agents.protocol.configuration import Configuration, plain_keys
 from dsse_core import limits
 from dsse_core.files.strict_table import Table
+from dsse_core.results import columns
 
 PAGES = tuple((Path(__file__).parent / "reference").glob("*.md"))
 MODULES = (
@@ -33,6 +36,7 @@ MODULES = (
 )
 OF_AREA_FILES = {"AreaFile": "AreaTable", "AreaKeys": "PlainKeys"}  # a scenario's AreaTable has the same name
 MARKED = re.compile(r"<!-- keys (?P<names>[\w ]+) -->\n(?:\n(?:\|.*\n)+)?")
+COLUMNS_OF = re.compile(r"<!-- columns (?P<name>\w+) -->\n(?:\n(?:\|.*\n)+)?")
 TYPES = {
     "AreaSelection": '`"all"` or list of texts',
     "Areas": "tables",
@@ -76,7 +80,20 @@ def write_tables(text: str) -> str:
         head = "| Key | Type | Meaning |\n|---|---|---|"
         return "\n".join([f"<!-- keys {found['names']} -->", "", head, *rows, ""])
 
-    return MARKED.sub(write, text)
+    return COLUMNS_OF.sub(write_columns, MARKED.sub(write, text))
+
+
+def write_columns(found: re.Match[str]) -> str:
+    """The table of the columns of the class that a mark names."""
+    table = getattr(columns, found["name"])
+    meanings, rows, names = read_meanings(table), [], []
+    for column in fields(table):
+        names.append(f"`{column.name}`")
+        if column.name in meanings:
+            rows.append(f"| {', '.join(names)} | {meanings[column.name]} |")
+            names.clear()
+    assert not names, f"{found['name']}: no string explains {names}"
+    return "\n".join([found[0].split("\n")[0], "", "| Columns | Meaning |\n|---|---|", *rows, ""])
 
 
 def list_rows(table: type[Table]) -> Iterator[str]:

@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from dsse_core.results.columns import AreaColumns
 from dsse_core.results.state import GridState
-from dsse_core.results.table import PHASE, Table
+from dsse_core.results.table import NO_SCAN, PHASE, ScanLabel, Table
 from dsse_core.results.totals import TOTALS, Division, find_totals
 from dsse_core.results.units import base_kw
 
@@ -35,6 +36,7 @@ def make_area_table(
     sigmas: np.ndarray | None = None,
     of_run: Mapping[str, np.ndarray] | None = None,
     quality: Sequence[str] | None = None,
+    label: ScanLabel = NO_SCAN,
 ) -> Table:
     """One row per area; ``of_run``: the columns OF_A_RUN. Balance: ``generation + import = load + loss``.
 
@@ -42,18 +44,24 @@ def make_area_table(
     and Q are sorted each by itself. ``loss``: of the area's branches with their charging, and of the shunts at its
     buses. ``import``: the power that comes from other areas over the boundary buses. A total is nan where a part of it
     is not known. ``sigmas`` (2, 4, n_area): standard deviations of P and Q of TOTALS, p.u.; nan without them.
+    ``label``: of the scan.
     """
     kw, n, unknown = base_kw(state.network), len(division.names), np.full(len(division.names), np.nan)
     totals = _name_totals(find_totals(state, division) * kw)
     deviations = _name_totals(np.full((2, len(TOTALS), n), np.nan) if sigmas is None else sigmas * kw)
-    columns: dict[str, np.ndarray | Sequence[str]] = {
-        "area": division.names,
-        "phase": [PHASE] * n,
-        "owned_buses": np.bincount(division.of_bus, minlength=n),
-    }
-    columns |= totals | {key: (of_run or {}).get(key, unknown) for key in OF_A_RUN}
-    columns["quality"] = quality or [""] * n
-    return Table("areas", columns | {f"sigma_{name}": values for name, values in deviations.items()})
+    scan, time = label.columns(n)
+    columns = AreaColumns(
+        area=division.names,
+        phase=[PHASE] * n,
+        owned_buses=np.bincount(division.of_bus, minlength=n),
+        **totals,
+        **{key: (of_run or {}).get(key, unknown) for key in OF_A_RUN},
+        quality=quality or [""] * n,
+        **{f"sigma_{name}": values for name, values in deviations.items()},
+        scan=scan,
+        time=time,
+    )
+    return Table("areas", vars(columns))
 
 
 def _name_totals(values: np.ndarray) -> dict[str, np.ndarray]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from dsse_core.grid.columns import read_given
 from dsse_core.grid.network import Network
+from dsse_core.results.columns import BranchColumns
 from dsse_core.results.flows import BranchModel, Flows
-from dsse_core.results.table import PHASE, Table
+from dsse_core.results.table import NO_SCAN, PHASE, ScanLabel, Table
 from dsse_core.results.units import base_a, base_kw
 
 QUANTITIES = (
@@ -25,13 +24,19 @@ QUANTITIES = (
 """Columns that have a standard deviation beside them, in the order of ``BranchSigmas``."""
 
 
-def make_branch_table(network: Network, branches: BranchModel, flows: Flows, sigmas: np.ndarray | None = None) -> Table:
+def make_branch_table(
+    network: Network,
+    branches: BranchModel,
+    flows: Flows,
+    sigmas: np.ndarray | None = None,
+    label: ScanLabel = NO_SCAN,
+) -> Table:
     """One row per branch; branches out of service are included and carry nothing.
 
     Powers and currents are positive into the branch at either end; a loss is the sum of the powers at both ends,
     charging included. ``loading_percent``: the larger current of the two ends by ``i_max``, or the larger apparent
     power by ``s_max``; nan where neither is known. ``sigmas`` (8, n_branch): standard deviations of ``QUANTITIES``,
-    p.u.; nan without them.
+    p.u.; nan without them. ``label``: of the scan.
     """
     kw, a, count = base_kw(network), base_a(network), len(network.branches)
     a_from, a_to = a[branches.f], a[branches.t]
@@ -49,18 +54,21 @@ def make_branch_table(network: Network, branches: BranchModel, flows: Flows, sig
     ones = np.ones(count)
     units = [kw * ones, kw * ones, a_from, kw * ones, kw * ones, a_to, kw * ones, kw * ones]
     deviations = np.full((len(QUANTITIES), count), np.nan) if sigmas is None else sigmas
-    columns: dict[str, np.ndarray | Sequence[str]] = {
-        "branch": network.branch_ids,
-        "name": list(read_given(network.branches, "name")) or [""] * count,
-        "from_bus": network.table.from_bus,
-        "to_bus": network.table.to_bus,
-        "phase": [PHASE] * count,
-        "in_service": branches.in_service,
-    }
-    columns |= dict(zip(QUANTITIES, values, strict=True))
-    columns["loading_percent"] = find_loading(network, flows)
-    columns |= {f"sigma_{q}": s * u for q, s, u in zip(QUANTITIES, deviations, units, strict=True)}
-    return Table("branches", columns)
+    scan, time = label.columns(count)
+    columns = BranchColumns(
+        branch=network.branch_ids,
+        name=list(read_given(network.branches, "name")) or [""] * count,
+        from_bus=network.table.from_bus,
+        to_bus=network.table.to_bus,
+        phase=[PHASE] * count,
+        in_service=branches.in_service,
+        **dict(zip(QUANTITIES, values, strict=True)),
+        loading_percent=find_loading(network, flows),
+        **{f"sigma_{q}": s * u for q, s, u in zip(QUANTITIES, deviations, units, strict=True)},
+        scan=scan,
+        time=time,
+    )
+    return Table("branches", vars(columns))
 
 
 def find_loading(network: Network, flows: Flows) -> np.ndarray:

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from dsse_core.grid.columns import read_given
+from dsse_core.results.columns import BusColumns
 from dsse_core.results.state import GridState
-from dsse_core.results.table import PHASE, Table
+from dsse_core.results.table import NO_SCAN, PHASE, ScanLabel, Table
 from dsse_core.results.units import base_kv, base_kw, wrap_degrees
 
 COMPARED = ("true", "centralised", "decentralised")
@@ -22,34 +23,39 @@ def make_bus_table(
     sigma_vm: np.ndarray,
     sigma_va: np.ndarray,
     sigma_injection: np.ndarray,
+    label: ScanLabel = NO_SCAN,
 ) -> Table:
     """One row per bus. ``vm_pu``, ``va_deg``, ``p_kw``, ``q_kvar`` come from ``state``; powers are positive into the
     network.
 
     ``areas`` (n_bus,): the area that owns each bus. ``compared``: those of COMPARED that are known, vm and va (n_bus,),
-    p.u. and rad. The standard deviations are in p.u. and rad, (n_bus,) and, of P and Q, (2, n_bus).
+    p.u. and rad. The standard deviations are in p.u. and rad, (n_bus,) and, of P and Q, (2, n_bus). ``label``: of the
+    scan.
     """
     network, n = state.network, len(state.vm)
     kv, kw, unknown = base_kv(network), base_kw(network), np.full(n, np.nan)
-    columns: dict[str, np.ndarray | Sequence[str]] = {
-        "bus": network.table.bus_id,
-        "area": areas,
-    }
+    voltages: dict[str, np.ndarray] = {}
     for which in COMPARED:
         vm, va = compared.get(which, (unknown, unknown))
-        columns |= {f"{which}_vm_pu": vm, f"{which}_va_deg": wrap_degrees(va)}
-    columns |= {
-        "sigma_vm_pu": sigma_vm,
-        "sigma_va_deg": np.degrees(sigma_va),
-        "name": list(read_given(network.buses, "name")) or [""] * n,
-        "phase": [PHASE] * n,
-        "vm_pu": state.vm,
-        "va_deg": wrap_degrees(state.va),
-        "vm_kv": state.vm * kv,
-        "p_kw": state.injection.real * kw,
-        "q_kvar": state.injection.imag * kw,
-        "sigma_vm_kv": sigma_vm * kv,
-        "sigma_p_kw": sigma_injection[0] * kw,
-        "sigma_q_kvar": sigma_injection[1] * kw,
-    }
-    return Table("buses", columns)
+        voltages |= {f"{which}_vm_pu": vm, f"{which}_va_deg": wrap_degrees(va)}
+    scan, time = label.columns(n)
+    columns = BusColumns(
+        bus=network.table.bus_id,
+        area=areas,
+        **voltages,
+        sigma_vm_pu=sigma_vm,
+        sigma_va_deg=np.degrees(sigma_va),
+        name=list(read_given(network.buses, "name")) or [""] * n,
+        phase=[PHASE] * n,
+        vm_pu=state.vm,
+        va_deg=wrap_degrees(state.va),
+        vm_kv=state.vm * kv,
+        p_kw=state.injection.real * kw,
+        q_kvar=state.injection.imag * kw,
+        sigma_vm_kv=sigma_vm * kv,
+        sigma_p_kw=sigma_injection[0] * kw,
+        sigma_q_kvar=sigma_injection[1] * kw,
+        scan=scan,
+        time=time,
+    )
+    return Table("buses", vars(columns))

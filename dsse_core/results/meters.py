@@ -11,8 +11,9 @@ from dsse_core.grid.columns import read_column
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.meter_table import KINDS, list_columns, list_ids, list_texts, number_kinds
 from dsse_core.grid.network import Network
+from dsse_core.results.columns import MeterColumns
 from dsse_core.results.state import GridState, read_state
-from dsse_core.results.table import PHASE, Table
+from dsse_core.results.table import NO_SCAN, PHASE, ScanLabel, Table
 from dsse_core.results.units import base_a, base_kw
 
 KIND = MeasurementKind
@@ -25,6 +26,9 @@ UNIT = {
     KIND.Q_FLOW: "kvar",
     KIND.CURRENT: "a",
 }
+UNITS = ("pu", "deg", "kw", "kvar", "a")
+QUANTITIES = ("value", "sigma", "estimate", "residual")
+"""Columns in the unit of each meter: ``value_kw`` and so on."""
 STATUS = USED, REMOVED, CRITICAL, SILENT = "used", "removed", "critical", "silent"
 
 
@@ -36,13 +40,14 @@ def make_meter_table(
     residual_variance: np.ndarray,
     removed: Mapping[str, float],
     critical: Collection[str],
+    label: ScanLabel = NO_SCAN,
 ) -> Table:
-    """One row per meter, in its ``unit``.
+    """One row per meter; the columns QUANTITIES have a value in its unit alone.
 
     ``values``, ``sigmas``, ``residual_variance`` (n_meas,), p.u. and rad: readings, their standard deviations, and the
     variances of their residuals; nan where there is none, or none is known. A meter without reading is ``silent``.
     ``removed``: ids of the meters taken out as bad data, with the normalised residual that each had then. ``critical``:
-    ids of critical meters.
+    ids of critical meters. ``label``: of the scan.
 
     ``residual``: reading - estimate, ``normalised_residual``: its magnitude by its standard deviation, nan where the
     reading has no redundancy, or is exact.
@@ -58,22 +63,42 @@ def make_meter_table(
     row_of = _find_rows(ids, {*removed, *critical})
     for meter in removed.keys() & row_of.keys():
         normalised[row_of[meter]] = removed[meter]
-    columns: dict[str, np.ndarray | Sequence[str]] = {
-        "meter": ids,
-        "kind": texts["kind"],
-        "bus": np.array(texts["bus"], dtype=np.int64),
-        "branch": [branch or "" for branch in texts["branch"]],
-        "phase": [PHASE] * len(meters),
-        "source": texts["source"],
-        "unit": list_texts([UNIT[kind] for kind in KINDS], kinds),
-        "reading": values * size,
-        "sigma": sigmas * size,
-        "estimate": estimate * size,
-        "residual": residual * size,
-        "normalised_residual": normalised,
-        "status": _find_status(row_of, np.isnan(values), removed, critical),
+    numbers = values * size, sigmas * size, estimate * size, residual * size
+    in_units = {
+        f"{name}_{unit}": np.where(_has_unit(unit)[kinds], column, np.nan)
+        for name, column in zip(QUANTITIES, numbers, strict=True)
+        for unit in UNITS
     }
-    return Table("meters", columns)
+    scan, time = label.columns(len(meters))
+    columns = MeterColumns(
+        meter=ids,
+        kind=texts["kind"],
+        bus=np.array(texts["bus"], dtype=np.int64),
+        branch=[branch or "" for branch in texts["branch"]],
+        phase=[PHASE] * len(meters),
+        source=texts["source"],
+        status=_find_status(row_of, np.isnan(values), removed, critical),
+        **in_units,
+        normalised_residual=normalised,
+        scan=scan,
+        time=time,
+    )
+    return Table("meters", vars(columns))
+
+
+def _has_unit(unit: str) -> np.ndarray:
+    """True for each of KINDS that has ``unit``, (n_kind,)."""
+    return np.array([UNIT[kind] == unit for kind in KINDS])
+
+
+def read_in_own_units(meters: Table) -> dict[str, np.ndarray]:
+    """The columns QUANTITIES of a table of ``meters``, each value in the unit of its meter, (n_meas,)."""
+    of_unit = [np.array([UNIT[MeasurementKind(kind)] == unit for kind in meters.kind], dtype=bool) for unit in UNITS]
+    found = {}
+    for name in QUANTITIES:
+        columns = [meters[f"{name}_{unit}"] for unit in UNITS]
+        found[name] = np.select(of_unit, columns, np.nan)
+    return found
 
 
 def _find_rows(ids: Sequence[str], wanted: Collection[str]) -> dict[str, int]:

@@ -23,7 +23,7 @@ from dsse_core.results.buses import make_bus_table
 from dsse_core.results.deviations.choose import Deviations, find_deviations
 from dsse_core.results.meters import make_meter_table
 from dsse_core.results.state import GridState, find_state
-from dsse_core.results.table import Table
+from dsse_core.results.table import NO_SCAN, ScanLabel, Table
 from dsse_core.results.totals import TOTALS, Division, division_of, whole_network
 
 Compared = Mapping[str, tuple[np.ndarray, np.ndarray]]
@@ -104,6 +104,7 @@ def results_of_estimate(
     partition: Partition | None = None,
     meters: Sequence[Meter] | None = None,
     truth: PowerFlowResult | None = None,
+    label: ScanLabel = NO_SCAN,
 ) -> Results:
     """The tables of a centralised estimate, with standard deviations of all quantities.
 
@@ -112,13 +113,16 @@ def results_of_estimate(
         meters: the meters to show, in this order, silent ones included; by default those of the estimate and the
             removed ones.
         truth: a power flow to show beside the estimate.
+        label: of the scan.
     """
     result = found.result if isinstance(found, BadDataReport) else found
     state = find_state(result.network, result.vm, result.va)
     compared = {"centralised": (result.vm, result.va)} | ({"true": (truth.vm, truth.va)} if truth else {})
     division = find_division(result.network, partition)
     deviations = find_deviations(result, division, state.branches)
-    return assemble_results(state, deviations, compared, partial(readings_of_estimate, found, meters), division)
+    return assemble_results(
+        state, deviations, compared, partial(readings_of_estimate, found, meters), division, label=label
+    )
 
 
 def results_of_power_flow(
@@ -143,19 +147,22 @@ def assemble_results(
     division: Division,
     of_run: Mapping[str, np.ndarray] | None = None,
     quality: Sequence[str] | None = None,
+    label: ScanLabel = NO_SCAN,
 ) -> Results:
     """All tables of ``state``; see the functions that make each."""
-    buses = make_bus_table(state, division.owners(), compared, deviations.vm, deviations.va, deviations.injections)
+    buses = make_bus_table(
+        state, division.owners(), compared, deviations.vm, deviations.va, deviations.injections, label
+    )
     return Results(
         buses=buses,
-        branches=make_branch_table(state.network, state.branches, state.flows, deviations.branches),
-        make_meters=partial(_make_meters, state, readings),
-        make_areas=partial(_make_areas, state, division, deviations, of_run, quality),
+        branches=make_branch_table(state.network, state.branches, state.flows, deviations.branches, label),
+        make_meters=partial(_make_meters, state, readings, label),
+        make_areas=partial(_make_areas, state, division, deviations, of_run, quality, label),
     )
 
 
-def _make_meters(state: GridState, readings: MeterReadings | Callable[[], MeterReadings]) -> Table:
-    return make_meter_table(state, **vars(readings() if callable(readings) else readings))
+def _make_meters(state: GridState, readings: MeterReadings | Callable[[], MeterReadings], label: ScanLabel) -> Table:
+    return make_meter_table(state, **vars(readings() if callable(readings) else readings), label=label)
 
 
 def _make_areas(
@@ -164,8 +171,9 @@ def _make_areas(
     deviations: Deviations,
     of_run: Mapping[str, np.ndarray] | None,
     quality: Sequence[str] | None,
+    label: ScanLabel,
 ) -> Table:
-    return make_area_table(state, division, deviations.totals, of_run, quality)
+    return make_area_table(state, division, deviations.totals, of_run, quality, label)
 
 
 def find_division(network: Network, partition: Partition | None) -> Division:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import html
 import io
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import groupby
 from pathlib import Path
@@ -29,11 +31,33 @@ PHASE = "abc"  # of every row: the network is balanced, in positive sequence
 Column = np.ndarray | tuple[str, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class ScanLabel:
+    """Name of a scan, "" without one, and its ``time``, s since 1970; nan where it is not known."""
+
+    name: str = ""
+    time: float = math.nan
+
+    def columns(self, n: int) -> tuple[Sequence[str], np.ndarray]:
+        """The columns ``scan`` and ``time`` of ``n`` rows."""
+        return [self.name] * n, as_times(np.full(n, self.time))
+
+
+NO_SCAN = ScanLabel()
+
+
+def as_times(seconds: np.ndarray) -> np.ndarray:
+    """``seconds`` since 1970 as times to the millisecond; NaT for nan."""
+    known = np.isfinite(seconds)
+    return np.where(known, np.round(1000 * np.where(known, seconds, 0.0)), -(2.0**63)).astype("int64").view("M8[ms]")
+
+
 class Table:
     """Columns by name: ``table.vm_pu`` and ``table["vm_pu"]``. ``len(table)``: the number of rows.
 
-    A column of numbers or truth values is an array of shape (len(table),), read-only; a column of texts is a tuple of
-    str. Unknown numbers are nan, unknown texts are "". Column names end with their unit: ``p_kw``, ``va_deg``.
+    A column of numbers, truth values or times is an array of shape (len(table),), read-only; a column of texts is a
+    tuple of str. Unknown numbers are nan, unknown times NaT, unknown texts "". Column names end with their unit:
+    ``p_kw``, ``va_deg``. ``dsse_core.results.columns`` has the columns of each table.
     """
 
     __slots__ = ("_columns", "_title")
@@ -111,7 +135,7 @@ class Table:
         return f'<div style="overflow-x: auto">{table}<p>{size}</p></div>'
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
-        """The rows, in order: tuples of int, float, bool and str, as the columns are."""
+        """The rows, in order: tuples of int, float, bool, datetime and str, as the columns are."""
         return zip(*(_as_list(column) for column in self._columns.values()), strict=True)
 
     @overload
@@ -175,7 +199,7 @@ def _as_own(column: Column) -> Any:
 
 
 def _show(value: Any) -> str:
-    text = f"{value:.6g}" if isinstance(value, float) else str(value)
+    text = f"{value:.6g}" if isinstance(value, float) else "" if value is None else str(value)
     return shortened(printable(text), LONGEST_CELL)
 
 
@@ -201,11 +225,17 @@ def _is_text(column: Column) -> bool:
 
 
 def _quote(texts: Column) -> Sequence[str]:
-    """Texts as cells, in quotes where they contain a comma, a quote or a line end."""
-    cells = texts if isinstance(texts, tuple) else list(map(str, texts.tolist()))
+    """Texts and times as cells, in quotes where they contain a comma, a quote or a line end."""
+    cells = texts if isinstance(texts, tuple) else write_times(texts)
     if not NEEDS_QUOTES.search("".join(cells)):
         return cells
     return ['"' + cell.replace('"', '""') + '"' if NEEDS_QUOTES.search(cell) else cell for cell in cells]
+
+
+def write_times(times: np.ndarray) -> list[str]:
+    """``times`` as ISO 8601, UTC without a zone; "" for NaT."""
+    texts: list[str] = np.datetime_as_string(times, unit="ms").tolist()
+    return ["" if text == "NaT" else text for text in texts]
 
 
 def _join_numbers(columns: Sequence[np.ndarray]) -> list[str]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.grid.partition import Partition
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.results.state import AreaVoltages
+from dsse_core.results.table import NO_SCAN, ScanLabel
 from dsse_core.results.units import wrap_degrees
 
 
@@ -41,6 +43,7 @@ class Comparison:
     ``decentralised`` takes each bus from the area that owns it. ``gap`` is to the centralised estimate of the
     same telemetry, ``error`` to the truth; those per area run over every bus that the area sees. ``sigma``: standard
     deviations by the owners. ``published``: the voltages of areas with an estimate, relative angles included.
+    ``label``: newest scan of the states, and the newest time to which ages of its readings count.
     """
 
     partition: Partition
@@ -50,6 +53,7 @@ class Comparison:
     sigma: Voltages
     by_area: Mapping[str, Voltages]
     published: Mapping[str, AreaVoltages]
+    label: ScanLabel = NO_SCAN
 
     def __repr__(self) -> str:
         buses, areas = len(self.truth.vm), len(self.published)
@@ -120,7 +124,14 @@ def compare(
             for name, state in states.items()
             if state.buses
         },
+        label=_label(states.values()),
     )
+
+
+def _label(states: Collection[StateMessage]) -> ScanLabel:
+    scan = max((state.header.scan for state in states), default=0)
+    taken_at = max((state.taken_at for state in states if state.header.scan == scan), default=0.0)
+    return ScanLabel(str(scan) if scan else "", taken_at or math.nan)
 
 
 def _published(state: StateMessage | None, n: int) -> Voltages:

@@ -58,6 +58,7 @@ def make_run_tables(
         division,
         _figures_of(areas),
         [area["quality"] for area in areas],
+        comparison.label,
     )
 
 

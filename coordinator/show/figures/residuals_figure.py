@@ -21,7 +21,7 @@ from coordinator.show.figures.style import (
 )
 from dsse_core.estimation.residuals import THRESHOLD
 from dsse_core.grid.measurement import MeasurementKind
-from dsse_core.results.meters import REMOVED
+from dsse_core.results.meters import REMOVED, read_in_own_units
 from dsse_core.results.table import Table
 
 KIND = MeasurementKind
@@ -76,8 +76,9 @@ def find_residuals(meters: Table) -> tuple[np.ndarray, bool]:
     normalised = np.asarray(meters.normalised_residual)
     if not np.isnan(normalised).all():
         return normalised, True
-    sigma = np.where(meters.sigma > 0, meters.sigma, np.nan)
-    return abs(meters.residual) / sigma, False
+    own = read_in_own_units(meters)
+    sigma = np.where(own["sigma"] > 0, own["sigma"], np.nan)
+    return abs(own["residual"]) / sigma, False
 
 
 def _find_places(meters: Table, kinds: list[KIND]) -> np.ndarray:

@@ -12,7 +12,9 @@ from coordinator.show.figures.style import Drawing
 from coordinator.show.report.page import MAX_ROWS, Page, PageTable, write_page
 from coordinator.show.report.settings import find_origin
 from coordinator.show.report.text import describe_run, list_findings, name_outcome, tabulate_areas, tabulate_gaps
+from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.printable import printable, shortened
+from dsse_core.results.meters import UNIT, read_in_own_units
 from dsse_core.results.table import Table
 
 LONGEST_NAME = 40
@@ -51,7 +53,7 @@ OF_BRANCHES: tuple[Column, ...] = (
 OF_METERS: tuple[Column, ...] = (
     ("meter", "meter", ""),
     ("kind", "kind", "kind"),
-    ("reading", "reading", ".6g"),
+    ("reading", "value", ".6g"),
     ("standard deviation", "sigma", ".2g"),
     ("estimate", "estimate", ".6g"),
     ("residual", "residual", ".3g"),
@@ -101,10 +103,17 @@ def make_run_page(result: RunResult, drawings: Sequence[Drawing], arguments: Seq
         more_tables=[
             _tabulate("Buses", result.buses, OF_BUSES, "All columns, with all digits: buses.csv beside this file."),
             _tabulate("Branches", result.branches, OF_BRANCHES, "All columns: branches.csv beside this file."),
-            _tabulate("Meters", result.meters, OF_METERS, "All columns: meters.csv beside this file."),
+            _tabulate("Meters", _in_own_units(result.meters), OF_METERS, "All columns: meters.csv beside this file."),
         ],
         origin=find_origin(scenario, arguments),
     )
+
+
+def _in_own_units(meters: Table) -> Table:
+    """The columns of OF_METERS, of quantities in the unit of each meter."""
+    shared = {name: meters[name] for name in ("meter", "kind", "normalised_residual", "status")}
+    unit = [UNIT[MeasurementKind(kind)] for kind in meters.kind]
+    return Table("meters", shared | read_in_own_units(meters) | {"unit": unit})
 
 
 def _tabulate(title: str, table: Table, columns: Sequence[Column], note: str = "") -> PageTable:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from dsse_core.printable import listed
 from dsse_core.results.branches import make_branch_table
 from dsse_core.results.buses import make_bus_table
 from dsse_core.results.state import find_state
-from dsse_core.results.table import Table
+from dsse_core.results.table import ScanLabel, Table
 
 MOST_NAMED = 12
 
@@ -41,5 +42,7 @@ def make_area_flows(area: Area, state: StateMessage) -> tuple[Table, Table]:
     found, unknown = find_state(network, vm, va), np.full(len(vm), np.nan)
     shown = found if state.referenced else replace(found, va=unknown)
     deviations = sigma_vm, sigma_va if state.referenced else unknown, np.full((2, len(vm)), np.nan)
-    buses = make_bus_table(shown, [area.name] * len(vm), {"decentralised": (shown.vm, shown.va)}, *deviations)
-    return buses, make_branch_table(network, found.branches, found.flows)
+    label = ScanLabel(str(state.header.scan), state.taken_at or math.nan)
+    compared = {"decentralised": (shown.vm, shown.va)}
+    buses = make_bus_table(shown, [area.name] * len(vm), compared, *deviations, label)
+    return buses, make_branch_table(network, found.branches, found.flows, label=label)

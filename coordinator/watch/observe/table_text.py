@@ -81,4 +81,4 @@ def _is_unknown(column: np.ndarray | tuple[str, ...]) -> bool:
     """True where no row has a value in this column."""
     if isinstance(column, tuple):
         return not any(column)
-    return column.dtype.kind == "f" and bool(np.isnan(column).all())
+    return column.dtype.kind in "fM" and bool(np.isnan(column).all())

@@ -14,7 +14,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.files.drafts import whole_file
 from dsse_core.results.results import Results
 from dsse_core.results.scans import ScanTables
-from dsse_core.results.table import Table
+from dsse_core.results.table import Table, write_times
 
 Tables = Results | ScanTables
 Column = np.ndarray | tuple[str, ...]
@@ -51,8 +51,12 @@ def columns_as_json(table: Table) -> dict[str, list[Any]]:
 
 
 def _as_values(column: Column) -> Iterable[object]:
-    if isinstance(column, tuple) or column.dtype.kind != "f":
-        return column if isinstance(column, tuple) else column.tolist()
+    if isinstance(column, tuple):
+        return column
+    if column.dtype.kind == "M":
+        return [text or None for text in write_times(column)]
+    if column.dtype.kind != "f":
+        return list(column.tolist())
     return [value if math.isfinite(value) else None for value in column.tolist()]
 
 

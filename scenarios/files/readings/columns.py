@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,7 +19,7 @@ from dsse_core.grid.meter_table import KINDS, each_fits, make_meters, number_met
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
 from scenarios.files.readings.rows import LONGEST_BUS, ReadingRows
-from scenarios.files.readings.units import RANGES, UNITS
+from scenarios.files.readings.units import RANGES, UNITS, sizes_of
 
 UNKNOWN = -1
 KIND = MeasurementKind
@@ -227,7 +226,7 @@ def _find_sizes(units: Sequence[str], unit: np.ndarray, meters: Records[Meter], 
         return None
     base_kv, sizes = network.table.base_kv[network.table.rows.find(meters.columns["bus"])], np.empty(len(unit))
     for k, name in enumerate(units):
-        sizes[unit == k] = _sizes_of(name, base_kv[unit == k], network.base_mva)
+        sizes[unit == k] = sizes_of(name, base_kv[unit == k], network.base_mva)
     return sizes
 
 
@@ -240,18 +239,3 @@ def _are_possible(kind: np.ndarray, values: np.ndarray, sigmas: np.ndarray, netw
     least, most = np.array([(limits.least, limits.most) for limits, _ in map(RANGES.__getitem__, KIND)]).T
     read = values * sizes[kind]
     return bool(((least[kind] <= read) & (read <= most[kind])).all())
-
-
-def _sizes_of(unit: str, base_kv: np.ndarray, base_mva: float) -> np.ndarray | float:
-    """``unit_size`` of meters at buses with ``base_kv`` (n,)."""
-    match unit:
-        case "mw" | "mvar":
-            return 1 / base_mva
-        case "deg":
-            return math.radians(1)
-        case "kv":
-            return 1 / base_kv
-        case "a":
-            return math.sqrt(3) * base_kv / base_mva / 1000
-        case _:
-            return 1.0

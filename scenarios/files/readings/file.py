@@ -1,7 +1,7 @@
 """Readings files: readings of real meters as CSV with a unit in each column name; per unit and radians come out.
 
 The header is ``meter``, of many scans ``scan``, and pairs ``value_UNIT,sigma_UNIT``; each row fills the one pair whose
-unit it is in.
+unit it is in. A table of meters of a result, ``meters.csv``, is read as well.
 
 docs/reference/scenario-files.md explains the format.
 """
@@ -24,6 +24,7 @@ from dsse_core.grid.network import Network
 from scenarios.files.readings.columns import SoundReadings, read_sound_columns
 from scenarios.files.readings.rows import ReadingRows
 from scenarios.files.readings.units import UNITS, WRITTEN_IN, unit_size
+from scenarios.files.readings.written import as_readings_text
 
 MOST_PLACES = 50_000_000  # 400 MB each of values and standard deviations
 
@@ -75,7 +76,7 @@ def load_scans(path: Path, network: Network) -> Scans:
 
 
 def _load(path: Path, network: Network, *, takes_scans: bool) -> SoundReadings:
-    text = read_text(path)
+    text = as_readings_text(read_text(path))
     if (sound := read_sound_columns(text, network, takes_scans=takes_scans)) is not None:
         return sound
     rows = csv.reader(io.StringIO(text, newline=""), strict=True)

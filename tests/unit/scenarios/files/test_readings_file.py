@@ -12,13 +12,15 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.lab.evaluation.scan_estimates import load_scans_of, with_one_scan
+from coordinator.lab.evaluation.scan_estimates import estimate_whole_grid, load_scans_of, with_one_scan
+from coordinator.watch.tables.table_files import write_tables
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.results.results import results_of_estimate
 from scenarios.check import check_scenario
 from scenarios.files.network_file import load_case
 from scenarios.files.readings.columns import read_sound_columns
@@ -226,6 +228,32 @@ def test_what_was_written_is_read_back(tmp_path: Path) -> None:
     assert [m.meter for m in back] == [m.meter for m in readings]
     for ours, theirs in zip(back, readings, strict=True):
         assert (ours.value, ours.sigma) == pytest.approx((theirs.value, theirs.sigma), rel=1e-12)
+
+
+@pytest.mark.parametrize(("unit", "other", "times"), [("kw", "mw", 1000), ("kvar", "mvar", 1000), ("v", "kv", 1000)])
+def test_small_units_are_read_as_large_ones(tmp_path: Path, unit: str, other: str, times: float) -> None:
+    meter = {"kw": "p_flow@3:3-4", "kvar": "q_injection@5", "v": "vm@2"}[unit]
+    small = load(tmp_path, f"meter,value_{unit},sigma_{unit}\n{meter},{12.5 * times},{0.1 * times}\n")
+    large = load(tmp_path, f"meter,value_{other},sigma_{other}\n{meter},12.5,0.1\n")
+    assert (small[0].value, small[0].sigma) == pytest.approx((large[0].value, large[0].sigma), rel=1e-14)
+
+
+def test_a_table_of_meters_is_read_back_without_virtual_and_silent_meters(tmp_path: Path) -> None:
+    scenario = load_scenario("ieee33")
+    silent = Meter(KIND.CURRENT, 2, "2-3")
+    estimate, _ = estimate_whole_grid(scenario)
+    write_tables(tmp_path, results_of_estimate(estimate, meters=[silent, *scenario.meters]))
+    back = load_readings(tmp_path / "meters.csv", NETWORK)
+    assert [m.meter for m in back] == [m.meter for m in all_readings()]
+    for ours, theirs in zip(back, all_readings(), strict=True):
+        assert (ours.value, ours.sigma) == pytest.approx((theirs.value, theirs.sigma), rel=1e-12)
+
+
+def test_a_mistake_in_a_table_of_meters_has_its_line(tmp_path: Path) -> None:
+    text = "meter,source,value_pu,sigma_pu\nvm@1,telemetered,,\nvm@99,telemetered,1,0.01\n"
+    (problem,) = problems_of(tmp_path, text)
+    assert problem.startswith("line 3:")
+    assert "vm@99" in problem
 
 
 def test_a_voltage_is_written_with_all_its_digits(tmp_path: Path) -> None:

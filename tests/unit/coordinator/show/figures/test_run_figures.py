@@ -27,6 +27,7 @@ from coordinator.show.figures.run_figures import draw_run
 from coordinator.show.figures.style import COLOURS, INK, PAPER, Drawing
 from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.results.meters import read_in_own_units
 from scenarios.scenario import load_scenario
 from tests.support.made_results import AT_S, GAPS, SCAN_AT_S, make_result
 
@@ -185,8 +186,9 @@ def test_without_normalised_residuals_those_by_the_meters_deviation_are_drawn_an
     drawing = draw_residuals(replace(result, comparison=replace(result.comparison, sigma=wrong)))
     (axis,) = axes_of(drawing)
     meters = result.meters
-    known = np.asarray(meters.sigma) > 0
-    expected = (abs(meters.residual) / meters.sigma)[known]
+    own = read_in_own_units(meters)
+    known = own["sigma"] > 0
+    expected = abs(own["residual"][known]) / own["sigma"][known]
     drawn = np.asarray(line(axis, "meter in use").get_ydata())
     assert sorted(drawn[~np.isnan(drawn)]) == pytest.approx(sorted(expected))
     assert "standard deviation of the meter" in axis.get_ylabel()
