@@ -84,11 +84,11 @@ def _run_all(case: str, name_or_path: str) -> Iterator[Case]:
 
 def _sweep(scenario: str, key: str, values: Mapping[str, str], strategies: Sequence[str], seeds: int) -> Iterator[Case]:
     """Rows of all seeds for each value of ``key`` and each strategy; ``values``: name of the case -> value in TOML."""
-    plan = make_plan(scenario, *parse_vary(f"{key}={','.join(values.values())}"), strategies, seeds)
+    plan = make_plan(scenario, [parse_vary(f"{key}={','.join(values.values())}")], strategies, seeds)
     rows = dict(run_tasks(plan, plan.tasks, os.cpu_count() or 1))
-    for case, value in zip(values, plan.scenarios, strict=True):
+    for case, varied in zip(values, plan.scenarios, strict=True):
         for strategy in strategies:
-            yield case, [row for task, row in rows.items() if (task.value, task.strategy) == (value, strategy)]
+            yield case, [row for task, row in rows.items() if (task.values, task.strategy) == (varied, strategy)]
 
 
 def write_line(case: str, rows: Sequence[StudyRow]) -> str:

@@ -1,10 +1,10 @@
-"""Many runs on the simulator as one table: strategies side by side, and one key varied."""
+"""Many runs on the simulator as one table: strategies side by side, and keys varied."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,10 @@ import numpy as np
 
 from coordinator.lab.evaluation.evaluation import choose_scenario
 from coordinator.lab.studies.strategy_comparison import choose_strategies
-from coordinator.lab.studies.study_row import ORIGIN, StudyRow
+from coordinator.lab.studies.study_row import COLUMNS, ORIGIN, StudyRow
 from coordinator.lab.studies.sweep import compare_side_by_side, run_on_simulator, run_tasks
-from coordinator.lab.studies.sweep_plan import hash_scenario, make_plan
+from coordinator.lab.studies.sweep_plan import Axis, hash_scenario, make_plan, number_of, sorted_tasks, split_keys
+from dsse_core.errors import InvalidInputError
 from dsse_core.results.table import Table
 from scenarios.scenario import Scenario
 
@@ -40,8 +41,9 @@ def compare(
             process.
 
     Returns:
-        One row per strategy: ``outcome``, ``gap_vm_pu`` and ``gap_va_deg`` to the centralised estimate, ``messages``,
-        ``below_1e6_s`` (virtual seconds until the gap stays below 1e-6 p.u. and rad) and others; nan where not known.
+        One row per strategy: ``outcome``, ``gap_vm_pu`` and ``gap_va_deg`` to the centralised estimate, ``error_vm_pu``
+        and ``error_va_deg`` to the truth, ``messages``, ``below_1e6_s`` (virtual seconds until the gap stays below 1e-6
+        p.u. and rad) and others; nan where not known.
 
     >>> import consensus_dsse as dsse
     >>> table = dsse.compare("ieee33", strategies=["information", "admm"])
@@ -65,8 +67,7 @@ def compare(
 
 def sweep(
     scenario: str | Path,
-    key: str,
-    values: Sequence[object],
+    vary: Mapping[str, Sequence[object]],
     *,
     strategies: Sequence[str] | None = None,
     seeds: int = 5,
@@ -74,41 +75,54 @@ def sweep(
     changes: Mapping[str, object] | None = None,
     executor: Executor | None = None,
 ) -> Table:
-    """Run ``scenario`` on the simulator for each value of a key, each strategy and each seed, as ``dsse sweep`` does.
+    """Run ``scenario`` on the simulator for each value of keys, each strategy and each seed, as ``dsse sweep`` does.
 
     Args:
         scenario: name of a shipped scenario, or path of a scenario file.
+        vary: key path such as ``faults.loss`` -> its values, in the units of the file. Of several, all combinations are
+            run; keys with commas between them take the same value.
         strategies: as of ``compare``.
-        key, values: a key path such as ``faults.loss`` and what it becomes, in the units of the file.
-        seeds: runs per value and strategy; they count up from the scenario's seed.
+        seeds: runs per combination of values and strategy; they count up from the scenario's seed.
         jobs: processes at a time. With more than one, a script needs ``if __name__ == "__main__":``.
         changes: see ``load_scenario``; they hold in all runs.
         executor: runs units of 20 runs instead of ``jobs`` processes, on this machine or others.
 
     Returns:
-        One row per run: ``value`` (as text), and the columns of ``compare``.
+        One row per run, sorted by values, strategy and seed: a column per key, and those of ``compare``.
 
     >>> import consensus_dsse as dsse
-    >>> table = dsse.sweep("ieee33", "faults.loss", [0.0, 0.3], strategies=["information"], seeds=2)
-    >>> table.value, table.seed.tolist()
-    (('0.0', '0.3', '0.0', '0.3'), [1, 1, 2, 2])
-    >>> table.lost[1] > 0
+    >>> table = dsse.sweep("ieee33", {"faults.loss": [0.0, 0.3]}, strategies=["information"], seeds=2)
+    >>> table["faults.loss"].tolist(), table.seed.tolist()
+    ([0.0, 0.0, 0.3, 0.3], [1, 2, 1, 2])
+    >>> table.lost[2] > 0
     np.True_
 
     Raises:
-        InvalidInputError: the scenario, the key, one of the values or a strategy cannot be used.
+        InvalidInputError: the scenario, a key, one of the values or a strategy cannot be used.
         WorkerError: a worker was killed, or has other versions than this process.
     """
+    if isinstance(scenario, Scenario):
+        raise InvalidInputError("sweep", [f"scenario {scenario.name!r} is loaded already; give its name or its path"])
     names = choose_strategies(None if strategies is None else ",".join(strategies))
-    plain = [value.item() if isinstance(value, np.generic) else value for value in values]
-    plan = make_plan(str(scenario), key, plain, names, seeds, changes=changes or {})
+    axes = [Axis(split_keys(keys), list(map(_plain, values))) for keys, values in vary.items()]
+    plan = make_plan(str(scenario), axes, names, seeds, changes=changes or {})
     rows = dict(run_tasks(plan, plan.tasks, jobs, executor))
-    return _make_table([rows[task] for task in plan.tasks], {"value": [task.value for task in plan.tasks]})
+    tasks = sorted_tasks(rows)
+    varied: dict[str, Any] = {}
+    for place, axis in enumerate(axes):
+        numbers = [number_of(task.values[place]) for task in tasks]
+        texts = [task.values[place] for task in tasks]
+        varied |= dict.fromkeys(axis.keys, texts if None in numbers else np.array(numbers))
+    return _make_table([rows[task] for task in tasks], varied)
 
 
-def _make_table(rows: Sequence[StudyRow], first: Mapping[str, Sequence[str]]) -> Table:
-    columns: dict[str, Any] = dict(first)
-    for name in (field.name for field in fields(StudyRow)):
+def _plain(value: object) -> object:
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _make_table(rows: Sequence[StudyRow], varied: Mapping[str, Any]) -> Table:
+    columns: dict[str, Any] = dict(varied)
+    for name in COLUMNS:
         cells = [getattr(row, name) for row in rows]
         columns[name] = cells if name in TEXTS else _numbers(cells)
     return Table("runs", columns)

@@ -20,12 +20,12 @@ STRATEGIES = ["information", "admm"]
 
 def run_all(seeds: int) -> dsse.Table:
     """Table of all runs: each loss, strategy and seed; in virtual time, which does not depend on the machine."""
-    return dsse.sweep(SCENARIO, "faults.loss", LOSSES, strategies=STRATEGIES, seeds=seeds, jobs=2)
+    return dsse.sweep(SCENARIO, {"faults.loss": LOSSES}, strategies=STRATEGIES, seeds=seeds, jobs=2)
 
 
 def find_times(rows: dsse.Table, strategy: str, loss: float) -> np.ndarray:
     """Seconds until the gap to the centralised estimate stays below 1e-6; infinite where it never does."""
-    chosen = [k for k in range(len(rows)) if rows.strategy[k] == strategy and float(rows.value[k]) == loss]
+    chosen = (np.array(rows.strategy) == strategy) & (rows["faults.loss"] == loss)
     return np.nan_to_num(rows.below_1e6_s[chosen], nan=np.inf)
 
 

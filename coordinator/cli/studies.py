@@ -215,9 +215,16 @@ def _run_on_simulator(scenario: Scenario, folder: Path) -> RunOutcome:
 
 @command(STUDY, short_help="Run a scenario many times while one key varies; table and picture.")
 @scenario_argument
-@click.option("--vary", required=True, metavar="KEY=VALUES", help="START:STOP:N or a list, e.g. faults.loss=0:0.9:10.")
+@click.option(
+    "--vary",
+    required=True,
+    multiple=True,
+    metavar="KEY=VALUES",
+    help="START:STOP:N or a list, e.g. faults.loss=0:0.9:10; KEY,KEY=... take the same values; repeated, all pairs.",
+)
 @click.option("--seeds", type=click.IntRange(1, 100_000), default=5, show_default=True, help="Runs per value.")
 @strategies_option
+@click.option("--quantity", multiple=True, metavar="COLUMN", help="Draw it; repeatable.  [gap_vm_pu, below_1e6_s]")
 @click.option("--jobs", type=click.IntRange(1, 1024), help="Processes at a time.  [default: one per core]")
 @executor_option
 @click.option("--out", type=click.Path(path_type=Path), help="Folder; that of an earlier sweep is gone on with.")
@@ -228,9 +235,10 @@ def _run_on_simulator(scenario: Scenario, folder: Path) -> RunOutcome:
 @figure_options
 def sweep(
     scenario: str,
-    vary: str,
+    vary: tuple[str, ...],
     seeds: int,
     strategies: str | None,
+    quantity: tuple[str, ...],
     jobs: int | None,
     executor: str | None,
     out: Path | None,
@@ -240,26 +248,30 @@ def sweep(
     quiet: bool,
     formats: tuple[str, ...] | None,
 ) -> None:
-    """Run SCENARIO on the simulator for each value of one of its keys, each strategy and each seed.
+    """Run SCENARIO on the simulator for each value of its keys, each strategy and each seed.
 
-    Leaves sweep.csv, one row per run, sweep.png, gap and time against the key, and report.html. Runs that the table
+    Leaves sweep.csv, one row per run, sweep.png, quantities against the first key, and report.html. Runs that the table
     has already are not run again: after Ctrl-C the same command with the same --out goes on.
 
     \b
     Examples:  dsse sweep ieee33 --vary faults.loss=0:0.9:10 --seeds 20 --out sweep
                dsse sweep ieee33 --vary measurements.voltage.sigma_percent=0.1,0.2,0.5 --strategies information
-               dsse sweep ieee33 --vary 'areas={count=2},{count=4}'
+               dsse sweep ieee33 --vary faults.loss=0,0.3 --vary 'areas={count=2},{count=4}'
+               dsse sweep ieee33-load-error --quantity error_vm_pu --seeds 20
+                   --vary faults.load_error.all.p_mw,faults.load_error.all.q_mvar=0:0.6:4
                dsse sweep ieee33 --vary faults.loss=0:0.9:10 --executor dask://127.0.0.1:8786 --out sweep
     """
     from coordinator.lab.studies.executors import open_executor
     from coordinator.lab.studies.strategy_comparison import choose_strategies
     from coordinator.lab.studies.sweep_plan import make_plan, parse_vary
     from coordinator.lab.studies.sweep_table import SweepTable
+    from coordinator.show.figures.sweep_figure import check_quantities
 
     if executor is not None and jobs is not None:
         raise click.UsageError("--jobs is of this machine; give one of --executor and --jobs")
     end_orderly_on_signals()
-    plan = make_plan(scenario, *parse_vary(vary), choose_strategies(strategies), seeds, links, timeout, changes)
+    axes, drawn = [parse_vary(each) for each in vary], check_quantities(quantity)
+    plan = make_plan(scenario, axes, choose_strategies(strategies), seeds, links, timeout, changes)
     folder = out or Path("runs") / f"sweep-{plan.base.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     with SweepTable(folder, plan.settings) as table:
         if table.cut_off:
@@ -273,7 +285,7 @@ def sweep(
             )
             raise
         finally:
-            _report(plan, table, folder, formats)
+            _report(plan, table, drawn, folder, formats)
     looked_at = "" if formats is None else f", figure and settings in {folder / 'report.html'}"
     show(printable(f"{len(table.rows)} runs in {table.path}{looked_at}"))
 
@@ -287,17 +299,19 @@ def _run_missing(plan: SweepPlan, table: SweepTable, jobs: int, quiet: bool, exe
     missing = [task for task in plan.tasks if task not in table.rows]
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), disable=quiet) as bar:
-        shown = bar.add_task(printable(plan.key), total=len(plan.tasks), completed=len(plan.tasks) - len(missing))
+        shown = bar.add_task(printable(plan.base.name), total=len(plan.tasks), completed=len(plan.tasks) - len(missing))
         for task, row in run_tasks(plan, missing, jobs, executor):
             table.add(task, row)
             bar.advance(shown)
 
 
-def _report(plan: SweepPlan, table: SweepTable, folder: Path, formats: tuple[str, ...] | None) -> None:
+def _report(
+    plan: SweepPlan, table: SweepTable, quantities: tuple[str, ...], folder: Path, formats: tuple[str, ...] | None
+) -> None:
     if table.rows and formats is not None:
         from coordinator.show.report.study_report import report_sweep
 
-        report_sweep(folder, plan, table.rows, formats, given_arguments())
+        report_sweep(folder, plan, table.rows, quantities, formats, given_arguments())
 
 
 @command(STUDY, short_help="Print the tables of the thesis beside ours.")

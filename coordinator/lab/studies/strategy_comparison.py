@@ -30,7 +30,18 @@ from scenarios.scenario import Scenario
 
 UNKEPT = "dsse-compare-"  # of the names of temporary folders, for runs that are not kept
 HEADER = (
-    *("strategy", "outcome", "gap p.u.", "gap deg", "exchanges", "messages", "bytes", "lost"),
+    *(
+        "strategy",
+        "outcome",
+        "gap p.u.",
+        "gap deg",
+        "error p.u.",
+        "error deg",
+        "exchanges",
+        "messages",
+        "bytes",
+        "lost",
+    ),
     *("s to 1e-3", "s to 1e-6", "s to 1e-8"),
 )
 
@@ -109,11 +120,12 @@ def _write(folder: Path, scenario: Scenario, rows: Sequence[StudyRow]) -> None:
 
 def list_cells(row: StudyRow) -> tuple[str, ...]:
     """The cells of ``row`` in the columns of ``HEADER``."""
+    differences = (row.gap_vm_pu, row.gap_va_deg, row.error_vm_pu, row.error_va_deg)
     counts = (row.exchanges, row.messages, row.bytes, row.lost)
     times = (row.below_1e3_s, row.below_1e6_s, row.below_1e8_s)
     return (
         *(row.strategy, row.outcome),
-        *("-" if gap is None else f"{gap:.1e}" for gap in (row.gap_vm_pu, row.gap_va_deg)),
+        *("-" if each is None else f"{each:.1e}" for each in differences),
         *("-" if count is None else str(count) for count in counts),
         *("-" if time is None else f"{time:.3f}" for time in times),
     )

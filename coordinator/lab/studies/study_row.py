@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import platform
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -21,7 +20,9 @@ LONGEST_REASON = 300
 
 @dataclass(frozen=True, slots=True)
 class StudyRow:
-    """A run of a study. ``gap_*``: decentralised to centralised over all buses; None where an estimate is incomplete.
+    """A run of a study. Largest of all buses, ``gap_*``: decentralised to centralised; ``error_*``: decentralised to
+    the truth; ``centralised_error_*``: centralised to the truth. None where an estimate is incomplete, or the truth is
+    not known.
 
     ``below_*_s``: the time from which on every area stays closer than that (p.u. and rad) to the centralised
     estimate, at all buses that it sees; None if never. ``end_s``: time of the verdict. Both times are virtual on the
@@ -33,6 +34,10 @@ class StudyRow:
     outcome: str
     gap_vm_pu: float | None = None
     gap_va_deg: float | None = None
+    error_vm_pu: float | None = None
+    error_va_deg: float | None = None
+    centralised_error_vm_pu: float | None = None
+    centralised_error_va_deg: float | None = None
     exchanges: int | None = None
     messages: int | None = None
     bytes: int | None = None
@@ -46,17 +51,12 @@ class StudyRow:
     versions: str = ""  # on that machine, see ``describe_versions``
     scenario_sha256: str = ""  # of the scenario that the study began with
 
-    @property
-    def gap(self) -> float | None:
-        """The larger of the gaps in p.u. and rad."""
-        if self.gap_vm_pu is None or self.gap_va_deg is None:
-            return None
-        return max(self.gap_vm_pu, math.radians(self.gap_va_deg))
-
 
 ORIGIN = ("host", "versions", "scenario_sha256")
 PACKAGES = ("consensus-dsse", "numpy", "scipy", "numba")
-COLUMNS = tuple(field.name.replace("_1e", "_1e-") for field in fields(StudyRow))
+COLUMNS = tuple(field.name for field in fields(StudyRow))
+FIGURES = tuple(name for name in COLUMNS if name not in ("strategy", "seed", "outcome", "reason", *ORIGIN))
+"""The columns with numbers that a run has found."""
 
 
 @cache
@@ -69,14 +69,17 @@ def describe_versions() -> str:
 
 def make_row(outcome: RunOutcome) -> StudyRow:
     """The row of a run that has ended."""
-    verdict, gaps = outcome.verdict, gap_history(outcome)
-
+    verdict, gaps, of_centre = outcome.verdict, gap_history(outcome), outcome.comparison.centralised_error
     return StudyRow(
         strategy=outcome.scenario.strategy,
         seed=outcome.scenario.seed,
         outcome=CONSENSUS if verdict.consensus else NO_CONSENSUS,
         gap_vm_pu=verdict.gap_vm_pu,
         gap_va_deg=verdict.gap_va_deg,
+        error_vm_pu=verdict.error_vm_pu,
+        error_va_deg=verdict.error_va_deg,
+        centralised_error_vm_pu=of_centre.vm_pu,
+        centralised_error_va_deg=of_centre.va_deg,
         exchanges=verdict.exchanges,
         messages=verdict.messages,
         bytes=verdict.bytes,

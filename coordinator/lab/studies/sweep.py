@@ -44,7 +44,7 @@ def run_tasks(
     if executor is None:
         found = _run_here(plan, tasks, jobs)
     else:
-        ordered = sorted(tasks, key=lambda task: task.value)  # so that a unit has few networks
+        ordered = sorted(tasks, key=lambda task: task.values)  # so that a unit has few networks
         found = run_scenarios(executor, [(task, plan.scenario_of(task)) for task in ordered], size)
     with contextlib.closing(found):
         for task, row in found:
@@ -78,7 +78,7 @@ def compare_side_by_side(
         InvalidInputError: no strategy can be run, with the reasons.
         WorkerError: a worker was killed, or has other versions than this process.
     """
-    plan = SweepPlan("", scenario, {"": scenario}, tuple(strategies), 1, {})
+    plan = SweepPlan((), scenario, {(): scenario}, tuple(strategies), 1, {})
     jobs = operating_system.count_processors()
     row_of = {task.strategy: row for task, row in run_tasks(plan, plan.tasks, jobs, executor, size=1)}
     rows = tuple(row_of[name] for name in strategies)

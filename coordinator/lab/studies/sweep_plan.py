@@ -1,11 +1,13 @@
-"""The plan of a sweep: the values of one key of a scenario, and for each value strategies and seeds."""
+"""The plan of a sweep: values of keys of a scenario, and for each combination of values strategies and seeds."""
 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
+import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
@@ -16,19 +18,28 @@ from coordinator.lab.evaluation.answers import version_of
 from coordinator.lab.evaluation.evaluation import NO_CHANGES, NO_SETTINGS, choose_scenario
 from dsse_core.errors import InvalidInputError
 from scenarios.faults.faults import LinkChanges
-from scenarios.files.key_values import parse_values
+from scenarios.files.key_values import parse_value, parse_values
 from scenarios.scenario import Scenario, load_scenario
 
 NUMBER = r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?"
 MAX_VALUES = 10_000
+OUTSIDE_QUOTES = r'(?=(?:[^"]*"[^"]*")*[^"]*$)'
 OPTION_OF_KEY = {"seed": "--seeds", "strategy": "--strategies"}
 
 
 @dataclass(frozen=True)
-class Task:
-    """A run of a sweep. ``value``: of the varied key, as the table writes it."""
+class Axis:
+    """Keys that take the same value, and their values."""
 
-    value: str
+    keys: tuple[str, ...]
+    values: Sequence[object]
+
+
+@dataclass(frozen=True)
+class Task:
+    """A run of a sweep. ``values``: one for each axis, as the table writes them."""
+
+    values: tuple[str, ...]
     strategy: str
     seed: int
 
@@ -37,12 +48,13 @@ class Task:
 class SweepPlan:
     """The plan of a sweep.
 
-    ``scenarios``: value as the table writes it -> the scenario with that value of ``key``. ``seeds``: their number.
+    ``keys``: of each axis. ``scenarios``: values of the axes, as the table writes them -> the scenario with them.
+    ``seeds``: their number.
     """
 
-    key: str
+    keys: tuple[tuple[str, ...], ...]
     base: Scenario
-    scenarios: Mapping[str, Scenario]
+    scenarios: Mapping[tuple[str, ...], Scenario]
     strategies: tuple[str, ...]
     seeds: int
     links: LinkChanges
@@ -51,10 +63,10 @@ class SweepPlan:
     def tasks(self) -> list[Task]:
         """All runs. The seeds count up from that of the scenario; the values vary fastest."""
         seeds = range(self.base.seed, self.base.seed + self.seeds)
-        return [Task(value, name, seed) for seed in seeds for name in self.strategies for value in self.scenarios]
+        return [Task(values, name, seed) for seed in seeds for name in self.strategies for values in self.scenarios]
 
     def scenario_of(self, task: Task) -> Scenario:
-        return replace(self.scenarios[task.value], strategy=task.strategy, seed=task.seed)
+        return replace(self.scenarios[task.values], strategy=task.strategy, seed=task.seed)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -63,7 +75,7 @@ class SweepPlan:
             "scenario": self.base.name,
             "links": dict(self.links),
             "scenario_sha256": hash_scenario(self.base),
-            "vary": self.key,
+            "vary": [list(keys) for keys in self.keys],
             "version": version_of("consensus-dsse"),
         }
 
@@ -87,51 +99,88 @@ def _content(value: object) -> object:
 
 def make_plan(
     name_or_path: str,
-    key: str,
-    values: Sequence[object],
+    axes: Sequence[Axis],
     strategies: Sequence[str],
     seeds: int,
     links: LinkChanges = NO_CHANGES,
     timeout_s: float | None = None,
     changes: Mapping[str, object] = NO_SETTINGS,
 ) -> SweepPlan:
-    """Reads the scenario once for each of ``values`` of ``key``. ``changes``: key -> value in all runs.
+    """Reads the scenario once for each combination of the values of ``axes``. ``changes``: key -> value in all runs.
 
     Raises:
-        InvalidInputError: the scenario cannot be used, ``key`` has an option of its own or is also in ``changes``, a
-            value is given twice, or the scenario rejects values; then it names them all, with the reasons.
+        InvalidInputError: the scenario cannot be used, a key has an option of its own or is also in ``changes``, a key
+            or a value is given twice, or the scenario rejects values; then it names them all, with the reasons.
     """
-    if key in OPTION_OF_KEY:
-        raise _vary_error(f"{key} is varied by {OPTION_OF_KEY[key]}; choose another key")
-    texts = [text_of(value) for value in values]
-    if twice := [text for text in dict.fromkeys(texts) if texts.count(text) > 1]:
-        raise _vary_error(f"{key}: {', '.join(twice)} is given twice; keep one")
-    if key in changes:
-        raise _vary_error(f"{key} cannot be varied and set; give one of --vary and --set")
+    _check_axes(axes, changes)
     base = choose_scenario(name_or_path, timeout_s=timeout_s, links=links, changes=changes)
     scenarios, problems = {}, []
-    for value in values:
+    for values in itertools.product(*(axis.values for axis in axes)):
+        varied = {key: value for axis, value in zip(axes, values, strict=True) for key in axis.keys}
+        texts = tuple(map(text_of, values))
         try:
-            loaded = load_scenario(name_or_path, strategies=list_strategies(), changes={**changes, key: value})
-            scenarios[text_of(value)] = choose_scenario(loaded, timeout_s=timeout_s, links=links)
+            loaded = load_scenario(name_or_path, strategies=list_strategies(), changes={**changes, **varied})
+            scenarios[texts] = choose_scenario(loaded, timeout_s=timeout_s, links=links)
         except InvalidInputError as error:
-            problems += [f"with {key} = {text_of(value)}: {problem}" for problem in error.problems]
+            with_values = " and ".join(
+                f"{','.join(axis.keys)} = {text}" for axis, text in zip(axes, texts, strict=True)
+            )
+            problems += [f"with {with_values}: {problem}" for problem in error.problems]
     if problems:
         raise InvalidInputError(str(base.path), list(dict.fromkeys(problems)))
-    return SweepPlan(key, base, scenarios, tuple(strategies), seeds, links)
+    return SweepPlan(tuple(axis.keys for axis in axes), base, scenarios, tuple(strategies), seeds, links)
 
 
-def parse_vary(vary: str) -> tuple[str, list[object]]:
-    """The key and the values of ``KEY=START:STOP:N`` or ``KEY=VALUE,VALUE,...``, values as TOML writes them.
+def _check_axes(axes: Sequence[Axis], changes: Mapping[str, object]) -> None:
+    keys = [key for axis in axes for key in axis.keys]
+    problems = [
+        f"{key} is varied by {option}; choose another key" for key, option in OPTION_OF_KEY.items() if key in keys
+    ]
+    problems += [f"{key} is varied twice; keep one" for key in dict.fromkeys(keys) if keys.count(key) > 1]
+    problems += [f"{key} cannot be varied and set; give one of --vary and --set" for key in keys if key in changes]
+    for axis in axes:
+        texts = list(map(text_of, axis.values))
+        twice = [text for text in dict.fromkeys(texts) if texts.count(text) > 1]
+        problems += [f"{','.join(axis.keys)}: {', '.join(twice)} is given twice; keep one"] if twice else []
+    if (n := math.prod(len(axis.values) for axis in axes)) > MAX_VALUES:
+        problems.append(f"{n} combinations of values; the limit is {MAX_VALUES}")
+    if problems:
+        raise InvalidInputError("--vary", problems)
+
+
+def parse_vary(vary: str) -> Axis:
+    """The axis of ``KEY[,KEY...]=START:STOP:N`` or ``KEY[,KEY...]=VALUE,VALUE,...``, values as TOML writes them.
 
     Raises:
         InvalidInputError: ``vary`` has neither form.
     """
-    key, equals, text = (part.strip() for part in vary.partition("="))
-    if not (key and equals and text):
+    keys, equals, text = (part.strip() for part in vary.partition("="))
+    if not (keys and equals and text):
         raise _vary_error(f"{vary!r} must be KEY=START:STOP:N or KEY=VALUE,VALUE,..., e.g. faults.loss=0:0.9:10")
     values = _parse_range(text) if re.fullmatch(f"{NUMBER}:{NUMBER}(:.*)?", text) else parse_values(text)
-    return key, values
+    return Axis(split_keys(keys), values)
+
+
+def split_keys(keys: str) -> tuple[str, ...]:
+    """The keys in ``KEY,KEY,...``; a comma in quotes belongs to a key."""
+    return tuple(key.strip() for key in re.split(f",{OUTSIDE_QUOTES}", keys))
+
+
+def sorted_tasks(tasks: Iterable[Task]) -> list[Task]:
+    """Tasks in the order of a table: by their values, numbers before words, then by strategy and seed."""
+    return sorted(tasks, key=lambda task: ([place_of_value(text) for text in task.values], task.strategy, task.seed))
+
+
+def place_of_value(text: str) -> tuple[bool, float, str]:
+    """Key for sorting values: numbers in their order, then words."""
+    number = number_of(text)
+    return (number is None, number or 0.0, text)
+
+
+def number_of(text: str) -> float | None:
+    """The number that the text of a value is, None if it is none."""
+    value = parse_value(text)
+    return float(value) if type(value) in (int, float) else None  # type: ignore[arg-type]
 
 
 def text_of(value: object) -> str:

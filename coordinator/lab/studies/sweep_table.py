@@ -1,5 +1,7 @@
 """The table of a sweep, ``sweep.csv``: a row per run, written when the run ends. A later sweep continues the table.
 
+At the end of a sweep the rows are sorted.
+
 ``sweep.json`` beside it holds the settings common to all rows, so that rows of different settings never mix.
 """
 
@@ -8,12 +10,14 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from coordinator.lab.studies.study_row import COLUMNS, StudyRow, describe_versions, from_cells, to_cells
-from coordinator.lab.studies.sweep_plan import Task
+from coordinator.lab.studies.sweep_plan import Task, sorted_tasks
 from coordinator.watch.run_folder import folder_error
 from dsse_core import operating_system
 from dsse_core.errors import InvalidInputError
@@ -41,7 +45,8 @@ class SweepTable:
         self.rows: dict[Task, StudyRow] = {}
         self.cut_off = False  # True where the last line was incomplete; its run is repeated
         self._origin = (describe_versions(), str(settings["scenario_sha256"]))
-        self._header = [str(settings["vary"]), *COLUMNS]
+        self._keys: list[list[str]] = settings["vary"]
+        self._header = [*(key for keys in self._keys for key in keys), *COLUMNS]
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -53,6 +58,8 @@ class SweepTable:
         self._lines = WholeLines(self.path)
         try:
             operating_system.lock(self._lines.file.fileno())
+            if not os.path.samestat(os.fstat(self._lines.file.fileno()), self.path.stat()):  # sorted meanwhile
+                raise BlockingIOError
         except BlockingIOError:
             self._lines.close()
             raise InvalidInputError(str(self.path), ["another sweep is writing to it; wait for its end"]) from None
@@ -70,17 +77,27 @@ class SweepTable:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if self.rows:
+            self._sort()
         self._lines.close()
+
+    def _sort(self) -> None:
+        """Replaces the file by one with sorted rows; whoever is killed meanwhile leaves one of the two."""
+        tasks = sorted_tasks(self.rows)
+        if tasks == list(self.rows):
+            return
+        self.rows = {task: self.rows[task] for task in tasks}
+        with whole_file(self.path) as draft:
+            draft.write_text("".join(map(_write_line, [self._header, *map(self._cells, tasks)])), encoding="utf-8")
 
     def add(self, task: Task, row: StudyRow) -> None:
         """Adds the row of a run that has ended, and writes it to the file."""
         self.rows[task] = row
-        self._write([task.value, *to_cells(row)])
+        self._lines.append(_write_line(self._cells(task)))
 
-    def _write(self, cells: list[str]) -> None:
-        line = io.StringIO()
-        csv.writer(line, lineterminator="\n").writerow(cells)
-        self._lines.append(line.getvalue())
+    def _cells(self, task: Task) -> list[str]:
+        of_keys = [text for keys, text in zip(self._keys, task.values, strict=True) for _ in keys]
+        return [*of_keys, *to_cells(self.rows[task])]
 
     def _read(self) -> None:
         content = self._lines.read()
@@ -95,14 +112,16 @@ class SweepTable:
                 str(self.path), [f"is no table that a sweep has written: {error}; {ANOTHER}"]
             ) from None
         if not lines:
-            self._write(self._header)
+            self._lines.append(_write_line(self._header))
             return
         if lines[0] != self._header:
             raise InvalidInputError(str(self.path), [f"has other columns than this sweep writes; {ANOTHER}"])
         problems = []
-        for number, (value, *cells) in enumerate((line or [""] for line in lines[1:]), start=2):
+        n_key = len(self._header) - len(COLUMNS)
+        firsts = [sum(map(len, self._keys[:k])) for k in range(len(self._keys))]  # of the keys of each axis
+        for number, cells in enumerate(lines[1:], start=2):
             try:
-                row = from_cells(cells)
+                row = from_cells(cells[n_key:])
             except ValueError as error:
                 problems.append(f"line {number} is no row of a sweep ({error}); remove it")
             else:
@@ -111,9 +130,15 @@ class SweepTable:
                         f"line {number} is a row of {row.versions}, scenario {row.scenario_sha256[:12]}, and here are "
                         f"{self._origin[0]}, scenario {self._origin[1][:12]}; {ANOTHER}"
                     )
-                self.rows[Task(value, row.strategy, row.seed)] = row
+                self.rows[Task(tuple(cells[k] for k in firsts), row.strategy, row.seed)] = row
         if problems:
             raise InvalidInputError(str(self.path), problems)
+
+
+def _write_line(cells: Sequence[str]) -> str:
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow(cells)
+    return line.getvalue()
 
 
 def _check_regular(path: Path) -> None:

@@ -9,11 +9,11 @@ from statistics import median_low
 from coordinator.lab.evaluation.result import RunOutcome
 from coordinator.lab.studies.strategy_comparison import HEADER, list_cells, list_reasons
 from coordinator.lab.studies.study_row import COLUMNS, CONSENSUS, ORIGIN, StudyRow, to_cells
-from coordinator.lab.studies.sweep_plan import SweepPlan, Task
+from coordinator.lab.studies.sweep_plan import SweepPlan, Task, sorted_tasks
 from coordinator.show.figures.gap_figure import draw_gaps_of, find_course
 from coordinator.show.figures.run_figures import save_figures
 from coordinator.show.figures.style import styled
-from coordinator.show.figures.sweep_figure import draw_sweep, place_of_value
+from coordinator.show.figures.sweep_figure import draw_sweep, name_keys
 from coordinator.show.report.page import MAX_ROWS, Page, PageTable, write_page
 from coordinator.show.report.settings import find_origin
 from scenarios.scenario import Scenario
@@ -54,7 +54,12 @@ def report_comparison(
 
 
 def report_sweep(
-    folder: Path, plan: SweepPlan, rows: Mapping[Task, StudyRow], formats: Sequence[str], arguments: Sequence[str]
+    folder: Path,
+    plan: SweepPlan,
+    rows: Mapping[Task, StudyRow],
+    quantities: Sequence[str],
+    formats: Sequence[str],
+    arguments: Sequence[str],
 ) -> None:
     """Writes figure and report of the runs of a sweep done so far. ``arguments``: of the command ``dsse``.
 
@@ -64,15 +69,15 @@ def report_sweep(
     agreed = sum(row.outcome == CONSENSUS for row in rows.values())
     missing = sum(task not in rows for task in plan.tasks)
     page = Page(
-        title=f"{plan.base.name}: sweep of {plan.key}",
+        title=f"{plan.base.name}: sweep of {' and '.join(map(name_keys, plan.keys))}",
         subtitle=f"{_describe(plan.base)}; on the simulator",
         outcome=f"{agreed} of {len(rows)} runs end in consensus",
         good=None,
         reasons=[f"{missing} runs of this sweep are not done yet"] if missing else [],
         findings=[],
-        tables=[_sum_up(plan.key, rows)],
-        drawings=[draw_sweep(plan.key, rows)],
-        more_tables=[_list_runs(plan.key, rows)],
+        tables=[_sum_up(plan, rows, quantities)],
+        drawings=[draw_sweep(plan.keys, rows, quantities)],
+        more_tables=[_list_runs(plan, rows)],
         origin=find_origin(plan.base, arguments, PER_RUN),
     )
     _write(folder, page, formats)
@@ -88,31 +93,29 @@ def _write(folder: Path, page: Page, formats: Sequence[str]) -> None:
     save_figures(page.drawings, folder, formats)
 
 
-def _sum_up(key: str, rows: Mapping[Task, StudyRow]) -> PageTable:
-    """A row for each value and strategy: the number of runs that end in consensus, and medians over all its runs."""
-    groups: dict[tuple[str, str], list[StudyRow]] = {}
-    for task in sorted(rows, key=lambda task: (place_of_value(task.value), task.strategy)):
-        groups.setdefault((task.value, task.strategy), []).append(rows[task])
+def _sum_up(plan: SweepPlan, rows: Mapping[Task, StudyRow], quantities: Sequence[str]) -> PageTable:
+    """A row for each combination of values and strategy: runs that end in consensus, and medians of all its runs."""
+    groups: dict[tuple[tuple[str, ...], str], list[StudyRow]] = {}
+    for task in sorted_tasks(rows):
+        groups.setdefault((task.values, task.strategy), []).append(rows[task])
+    shown = [*quantities, *(["messages"] if "messages" not in quantities else [])]
     lines = []
-    for (value, strategy), of_group in groups.items():
+    for (values, strategy), of_group in groups.items():
         agreed = sum(row.outcome == CONSENSUS for row in of_group)
-        gap = _median([row.gap for row in of_group], ".1e")
-        time = _median([row.below_1e6_s for row in of_group], ".3g")
-        messages = _median([row.messages for row in of_group], "d")
-        lines.append((value, strategy, f"{agreed} of {len(of_group)}", gap, time, messages))
-    header = (key, "strategy", "consensus", "median gap (p.u. or rad)", "median time to 1e-6 (s)", "median of messages")
+        medians = [_median([getattr(row, name) for row in of_group]) for name in shown]
+        lines.append((*values, strategy, f"{agreed} of {len(of_group)}", *medians))
+    header = (*map(name_keys, plan.keys), "strategy", "consensus", *shown)
     note = "Runs without a figure count as infinite; a dash says that half of them have none."
     return PageTable("Medians of all seeds", header, lines, note)
 
 
-def _median(values: Sequence[float | None], form: str) -> str:
-    known = [float("inf") if value is None else value for value in values]
-    middle = median_low(known)
-    return "-" if middle == float("inf") else format(int(middle) if form == "d" else middle, form)
+def _median(values: Sequence[float | None]) -> str:
+    middle = median_low([float("inf") if value is None else value for value in values])
+    return "-" if middle == float("inf") else str(middle) if isinstance(middle, int) else format(middle, ".3g")
 
 
-def _list_runs(key: str, rows: Mapping[Task, StudyRow]) -> PageTable:
-    tasks = sorted(rows, key=lambda task: (place_of_value(task.value), task.strategy, task.seed))
-    cells = [[task.value, *to_cells(rows[task])[: len(SHOWN)]] for task in tasks[:MAX_ROWS]]
+def _list_runs(plan: SweepPlan, rows: Mapping[Task, StudyRow]) -> PageTable:
+    tasks = sorted_tasks(rows)
+    cells = [[*task.values, *to_cells(rows[task])[: len(SHOWN)]] for task in tasks[:MAX_ROWS]]
     note, left_out = "The same as sweep.csv beside this file.", len(tasks) - len(cells)
-    return PageTable(f"Runs ({len(tasks)})", [key, *SHOWN], cells, note, left_out)
+    return PageTable(f"Runs ({len(tasks)})", [*map(name_keys, plan.keys), *SHOWN], cells, note, left_out)

@@ -91,7 +91,7 @@ def test_the_rows_of_the_study_are_one_per_run(ran: Callable[[str], tuple[Path, 
     folder, _ = ran("study.py")
     with (folder / "paper" / "rows.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert {(row["value"], row["strategy"], row["seed"]) for row in rows} == {
+    assert {(row["faults.loss"], row["strategy"], row["seed"]) for row in rows} == {
         (loss, strategy, seed)
         for loss in ("0.0", "0.2", "0.4", "0.6")
         for strategy in ("information", "admm")

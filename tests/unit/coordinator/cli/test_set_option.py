@@ -76,10 +76,10 @@ def test_no_command_takes_a_key_that_does_not_exist_or_a_value_that_does_not_fit
 
 
 def test_what_a_sweep_sets_holds_in_all_its_runs_and_is_not_varied() -> None:
-    plan = make_plan("ieee33", *parse_vary("faults.loss=0,0.5"), ("information",), 1, changes={"areas": {"count": 4}})
+    plan = make_plan("ieee33", [parse_vary("faults.loss=0,0.5")], ("information",), 1, changes={"areas": {"count": 4}})
     assert {len(scenario.partition.areas) for scenario in plan.scenarios.values()} == {4}
     with pytest.raises(InvalidInputError, match="varied and set"):
-        make_plan("ieee33", *parse_vary("faults.loss=0,0.5"), ("information",), 1, changes={"faults.loss": 0.1})
+        make_plan("ieee33", [parse_vary("faults.loss=0,0.5")], ("information",), 1, changes={"faults.loss": 0.1})
 
 
 def test_one_key_is_the_load_error_of_all_areas_but_those_that_have_their_own() -> None:

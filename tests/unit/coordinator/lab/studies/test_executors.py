@@ -99,11 +99,11 @@ def test_a_sweep_goes_on_after_kill_9_and_the_death_of_a_worker_with_the_rows_of
 
 
 def test_a_study_by_any_executor_has_the_rows_of_one_process():
-    here = dsse.sweep("industrial13", "faults.loss", [0.0, 0.3], strategies=["information"], seeds=2)
+    here = dsse.sweep("industrial13", {"faults.loss": [0.0, 0.3]}, strategies=["information"], seeds=2)
     side_by_side = dsse.compare("industrial13", strategies=["information", "angle-offset"])
     with ThreadPoolExecutor(1) as executor:
         far = dsse.sweep(
-            "industrial13", "faults.loss", [0.0, 0.3], strategies=["information"], seeds=2, executor=executor
+            "industrial13", {"faults.loss": [0.0, 0.3]}, strategies=["information"], seeds=2, executor=executor
         )
         compared = dsse.compare("industrial13", strategies=["information", "angle-offset"], executor=executor)
     for expected, found in ((here, far), (side_by_side, compared)):

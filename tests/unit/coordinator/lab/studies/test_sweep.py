@@ -66,10 +66,9 @@ def test_many_processes_give_the_rows_that_one_gives(tmp_path: Path):
     assert sweep(tmp_path / "one") == 0
     assert sweep(tmp_path / "two", jobs=2) == 0
 
-    def key(row: dict[str, str]) -> tuple[str, ...]:
-        return (row["faults.loss"], row["seed"])
-
-    assert sorted(rows_in(tmp_path / "one"), key=key) == sorted(rows_in(tmp_path / "two"), key=key)
+    rows = rows_in(tmp_path / "one")
+    assert rows == rows_in(tmp_path / "two")
+    assert [(row["faults.loss"], row["seed"]) for row in rows] == [("0", "1"), ("0", "2"), ("0.3", "1"), ("0.3", "2")]
 
 
 @pytest.mark.slow
@@ -79,7 +78,7 @@ def test_runs_that_the_table_has_are_not_run_again(tmp_path: Path, runs: list):
     runs.clear()
     assert sweep(tmp_path / "s", seeds=3) == 0
     assert sorted(runs) == [(0.0, "information", 3), (0.3, "information", 3)]
-    assert rows_in(tmp_path / "s")[: len(first)] == first
+    assert [row for row in rows_in(tmp_path / "s") if row["seed"] != "3"] == first
     runs.clear()
     assert sweep(tmp_path / "s", seeds=3) == 0
     assert runs == []
@@ -138,7 +137,7 @@ def test_a_signal_while_workers_are_started_shows_no_traceback_of_theirs(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(util, "spawnv_passfds", spawn_under_a_signal)
-    plan = make_plan("industrial13", "faults.loss", [0.0, 0.1], ["information"], 1)
+    plan = make_plan("industrial13", [parse_vary("faults.loss=0,0.1")], ["information"], 1)
     former = signal.signal(number, interrupt)
     try:
         with pytest.raises(KeyboardInterrupt):
@@ -155,7 +154,7 @@ def test_a_signal_while_workers_are_started_shows_no_traceback_of_theirs(
     ("other", "message"),
     [
         (["industrial13-lossy", *SMALL[1:]], "scenario is 'industrial13'"),
-        (["industrial13", "--vary", "run.beat_s=0.1,0.2", *SMALL[3:]], "vary is 'faults.loss'"),
+        (["industrial13", "--vary", "run.beat_s=0.1,0.2", *SMALL[3:]], "vary is [['faults.loss']]"),
         ([*SMALL, "--delay-ms", "3"], "links is {}"),
         ([*SMALL, "--timeout", "7"], "scenario_sha256 is"),
     ],
@@ -182,7 +181,7 @@ def test_a_scenario_file_that_has_changed_is_another_scenario(tmp_path: Path):
 
 
 def test_a_network_file_that_has_changed_is_another_scenario():
-    plan = make_plan("industrial13", *parse_vary("faults.loss=0"), ["information"], 1)
+    plan = make_plan("industrial13", [parse_vary("faults.loss=0")], ["information"], 1)
     first, *others = plan.base.network.buses
     network = replace(plan.base.network, buses=(replace(first, p_load=first.p_load + 1e-9), *others))
     changed = replace(plan, base=replace(plan.base, network=network)).settings
@@ -210,7 +209,7 @@ def test_a_table_with_other_columns_or_lines_is_rejected(tmp_path: Path, text: s
 
 @pytest.mark.parametrize("content", [None, b"\xff\xfe\n", b"\n\n", b'a,"\n'])
 def test_a_table_that_is_a_pipe_or_no_text_is_one_error(tmp_path: Path, content: bytes | None):
-    plan = make_plan("industrial13", *parse_vary("faults.loss=0,0.3"), ("information",), 1)
+    plan = make_plan("industrial13", [parse_vary("faults.loss=0,0.3")], ("information",), 1)
     with SweepTable(tmp_path / "s", plan.settings) as table:
         header = table.path.read_bytes()
     table.path.unlink()
@@ -221,7 +220,7 @@ def test_a_table_that_is_a_pipe_or_no_text_is_one_error(tmp_path: Path, content:
 
 
 def test_two_sweeps_do_not_write_to_one_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    plan = make_plan("industrial13", *parse_vary("faults.loss=0,0.3"), ("information",), 1)
+    plan = make_plan("industrial13", [parse_vary("faults.loss=0,0.3")], ("information",), 1)
     with SweepTable(tmp_path / "s", plan.settings):
         assert sweep(tmp_path / "s") == 2
     assert "another sweep is writing" in capsys.readouterr().err
@@ -238,20 +237,58 @@ def test_a_run_that_is_not_possible_is_a_row_with_the_reason(tmp_path: Path):
     assert (tmp_path / "s" / "sweep.png").exists()
 
 
+def test_tied_keys_take_the_same_value_and_repeated_options_all_pairs():
+    tied, crossed = parse_vary("faults.loss,faults.link[1].loss=0,0.25"), parse_vary("run.beat_s=1,2")
+    assert tied.keys == ("faults.loss", "faults.link[1].loss")
+    assert parse_vary('faults."a,b".loss,c=1').keys == ('faults."a,b".loss', "c")
+    plan = make_plan("ieee33-cut", [parse_vary("faults.loss,faults.jitter_ms=0,0.5"), crossed], ["admm"], 1)
+    found = {
+        values: (next(iter(scenario.faults.links.values())), scenario.run.beat_s)
+        for values, scenario in plan.scenarios.items()
+    }
+    assert {v: (link.loss, 1000 * link.jitter_s, beat) for v, (link, beat) in found.items()} == {
+        (text, beat): (float(text), float(text), float(beat)) for text in ("0", "0.5") for beat in ("1", "2")
+    }
+
+
+def test_a_table_of_tied_and_crossed_keys_has_a_column_for_each_and_goes_on(tmp_path: Path, runs: list):
+    vary = ["--vary", "faults.loss,faults.jitter_ms=0,0.5", "--vary", "run.beat_s=0.5,0.25"]
+    base = ["industrial13", *vary, "--strategies", "information", "--quiet", "--format", "svg"]
+    quantities = ["--quantity", "error_vm_pu", "--quantity", "messages"]
+    assert sweep(tmp_path / "s", *quantities, seeds=1, base=base) == 0
+    rows = rows_in(tmp_path / "s")
+    assert [(row["faults.loss"], row["faults.jitter_ms"], row["run.beat_s"]) for row in rows] == [
+        *(("0", "0", "0.25"), ("0", "0", "0.5"), ("0.5", "0.5", "0.25"), ("0.5", "0.5", "0.5")),
+    ]
+    assert all(float(row["error_vm_pu"]) > 0 for row in rows)
+    assert {row["error_vm_pu"][:12] for row in rows} == {row["centralised_error_vm_pu"][:12] for row in rows}
+    picture = (tmp_path / "s" / "sweep.svg").read_text(encoding="utf-8")
+    assert all(text in picture for text in ("run.beat_s = 0.25", "error to the truth, magnitude (p.u.)", "messages"))
+    runs.clear()
+    assert sweep(tmp_path / "s", *quantities, seeds=1, base=base) == 0
+    assert runs == []
+
+
+def test_a_quantity_that_no_run_has_is_one_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert sweep(tmp_path / "s", "--quantity", "eror_vm_pu") == 2
+    assert "did you mean 'error_vm_pu'?" in capsys.readouterr().err
+    assert not (tmp_path / "s").exists()
+
+
 def test_settings_do_not_depend_on_where_the_file_lies(tmp_path: Path):
     found = []
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
         path = tmp_path / folder / "mine.toml"
         path.write_text(find_shipped("shipped")["industrial13"].read_text())
-        found.append(make_plan(str(path), *parse_vary("faults.loss=0,0.3"), ("information",), 1).settings)
+        found.append(make_plan(str(path), [parse_vary("faults.loss=0,0.3")], ("information",), 1).settings)
     assert found[0] == found[1]
     assert json.loads(json.dumps(found[0])) == found[0]
 
 
 def test_a_plan_runs_the_seeds_from_the_scenarios_own_on():
-    plan = make_plan("industrial13", *parse_vary("run.beat_s=1"), ("admm",), 3)
-    assert plan.tasks == [Task("1", "admm", seed) for seed in (1, 2, 3)]
+    plan = make_plan("industrial13", [parse_vary("run.beat_s=1")], ("admm",), 3)
+    assert plan.tasks == [Task(("1",), "admm", seed) for seed in (1, 2, 3)]
     assert plan.scenario_of(plan.tasks[2]).run.beat_s == 1
 
 
@@ -269,7 +306,7 @@ def test_a_plan_runs_the_seeds_from_the_scenarios_own_on():
     ],
 )
 def test_values_are_a_range_or_a_list_as_toml_writes_them(vary: str, values: list[object]):
-    found = parse_vary(vary)[1]
+    found = parse_vary(vary).values
     assert found == values
     assert list(map(type, found)) == list(map(type, values))
 
@@ -277,6 +314,8 @@ def test_values_are_a_range_or_a_list_as_toml_writes_them(vary: str, values: lis
 @pytest.mark.parametrize(
     ("vary", "message"),
     [
+        ("faults.loss,faults.loss=0,1", "faults.loss is varied twice"),
+        ("faults.loss,seed=0,1", "seed is varied by --seeds"),
         ("faults.loss", "must be KEY=START:STOP:N"),
         ("faults.loss=", "must be KEY=START:STOP:N"),
         ("faults.loss=0:0.9", "must be START:STOP:N"),
