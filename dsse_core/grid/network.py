@@ -36,7 +36,10 @@ class Control(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Bus:
-    """A node. ``p_load``, ``q_load`` in p.u.; ``g_shunt``, ``b_shunt`` in p.u. at 1 p.u. voltage."""
+    """A node. ``p_load``, ``q_load`` in p.u.; ``g_shunt``, ``b_shunt`` in p.u. at 1 p.u. voltage.
+
+    ``x``, ``y``: its place on a map, to the east and to the north, in any unit; None where it is not known.
+    """
 
     id: int
     base_kv: float
@@ -45,6 +48,8 @@ class Bus:
     q_load: float = 0.0
     g_shunt: float = 0.0
     b_shunt: float = 0.0
+    x: float | None = None
+    y: float | None = None
 
     @property
     def has_shunt(self) -> bool:

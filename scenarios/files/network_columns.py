@@ -6,6 +6,7 @@ import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, fields
 from itertools import count
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from scenarios.files.network_tables import BranchColumns, BranchTable, BusColumn
 
 @dataclass(frozen=True)
 class BusArrays:
-    """``base_kv`` in kV, the others in p.u.; shape (n_bus,) each."""
+    """``base_kv`` in kV, powers and shunts in p.u.; shape (n_bus,) each. ``x``, ``y``: NaN where not known."""
 
     id: np.ndarray
     name: list[str]
@@ -40,6 +41,8 @@ class BusArrays:
     q_load: np.ndarray
     g_shunt: np.ndarray
     b_shunt: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
 
     @classmethod
     def of(cls, given: list[BusTable] | BusColumns, base_mva: float) -> BusArrays:
@@ -47,10 +50,12 @@ class BusArrays:
         powers = ("p_load_mw", "q_load_mvar", "g_shunt_mw", "b_shunt_mvar")
         scaled = [np.array(_take(given, key, n, 0.0), dtype=float) / base_mva for key in powers]
         base_kv = np.array(_take(given, "base_kv", n, math.nan), dtype=float)
-        return cls(read_ids(_take(given, "id", n, 0)), _take(given, "name", n, ""), base_kv, *scaled)
+        place = [np.array([math.nan if v is None else v for v in _take(given, key, n, None)]) for key in ("x", "y")]
+        return cls(read_ids(_take(given, "id", n, 0)), _take(given, "name", n, ""), base_kv, *scaled, *place)
 
     def build(self) -> Records[Bus]:
-        return Records(Bus, {field.name: getattr(self, field.name) for field in fields(Bus)})
+        columns = {field.name: getattr(self, field.name) for field in fields(Bus)}
+        return Records(Bus, _without_unknown(columns, ("x", "y")))
 
 
 @dataclass(frozen=True)
@@ -117,11 +122,7 @@ class BranchArrays:
 
     def build(self) -> Records[Branch]:
         columns = {field.name: getattr(self, field.name) for field in fields(Branch)}
-        for key in ("i_max", "s_max"):
-            rating = columns.pop(key)
-            if not np.isnan(rating).all():
-                columns[key] = _none_for_nan(rating)
-        return Records(Branch, columns | {"id": self._name()})
+        return Records(Branch, _without_unknown(columns, ("i_max", "s_max")) | {"id": self._name()})
 
     def _name(self) -> list[str]:
         """The id of each branch: the one given, or its ends."""
@@ -144,8 +145,11 @@ def _take(given: Sequence[object] | object, key: str, n: int, default: object) -
     return [default] * n if column is None else column
 
 
-def _none_for_nan(values: np.ndarray) -> list[float | None]:
-    return [None if math.isnan(value) else value for value in values.tolist()]
+def _without_unknown(columns: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
+    """``columns``, those of ``keys`` with None for NaN, or left out where all is NaN."""
+    known = {key: columns[key] for key in keys if not np.isnan(columns[key]).all()}
+    found = {key: [None if math.isnan(value) else value for value in column.tolist()] for key, column in known.items()}
+    return {key: column for key, column in columns.items() if key not in keys} | found
 
 
 def default_branch_id(from_bus: int, to_bus: int, taken: Collection[str | None]) -> str:

@@ -34,6 +34,12 @@ class BusTable(Table):
     """Consumption of the shunt at 1 p.u. voltage."""
     b_shunt_mvar: float = Field(default=0.0, description="Mvar that the shunt produces at 1 p.u. voltage")
     """Production of the shunt at 1 p.u. voltage: positive for a capacitor."""
+    x: float | None = Field(default=None, description="place of the bus on a map, to the east, in any unit")
+    """Place on a map, to the east, in any unit, e.g. a longitude. A page draws the feeder by `x` and `y` where each bus
+    has both.
+    """
+    y: float | None = Field(default=None, description="place of the bus on a map, to the north, in the unit of x")
+    """Place on a map, to the north, in the unit of `x`."""
 
 
 Form = TypeVar("Form", "BranchTable", "BranchColumns")
@@ -131,6 +137,8 @@ class BusColumns(ColumnsTable):
     q_load_mvar: list[float] | None = None
     g_shunt_mw: list[float] | None = None
     b_shunt_mvar: list[float] | None = None
+    x: list[float | None] | None = None
+    y: list[float | None] | None = None
 
 
 class BranchColumns(ColumnsTable):

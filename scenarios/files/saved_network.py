@@ -61,7 +61,9 @@ def _bus_columns(network: Network) -> dict[str, list[Any]]:
         "b_shunt_mvar": [bus.b_shunt * base for bus in buses],
     }
     given: dict[str, list[Any]] = {"id": [bus.id for bus in buses], "base_kv": [bus.base_kv for bus in buses]}
-    return given | {key: column for key, column in columns.items() if any(column)}
+    places = {key: [getattr(bus, key) for bus in buses] for key in ("x", "y")}
+    given |= {key: column for key, column in columns.items() if any(column)}
+    return given | {key: column for key, column in places.items() if any(value is not None for value in column)}
 
 
 def _branch_columns(network: Network) -> dict[str, list[Any]]:
@@ -114,7 +116,7 @@ def _bus_row(bus: Bus, base: float) -> dict[str, object]:
     for key in ("p_load", "q_load", "g_shunt", "b_shunt"):
         if power := getattr(bus, key):
             row[f"{key}_{'mw' if key in ('p_load', 'g_shunt') else 'mvar'}"] = power * base
-    return row
+    return row | {key: value for key in ("x", "y") if (value := getattr(bus, key)) is not None}
 
 
 def _branch_row(branch: Branch, network: Network) -> dict[str, object]:

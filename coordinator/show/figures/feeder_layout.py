@@ -8,11 +8,13 @@ continues.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
+from dsse_core.grid.columns import read_given
 from dsse_core.grid.network import Network
 
 
@@ -48,6 +50,13 @@ def lay_out(network: Network) -> Layout:
         sign = -1 if row < 0 else 1  # mirrored above the trunk
         place[network.row[bus]] = column + 1, row + sign * offset[bus]
     return Layout(place, upstream)
+
+
+def find_places(network: Network) -> np.ndarray | None:
+    """The coordinates of all buses, (n_bus, 2), in network order; None unless each bus has its own."""
+    given = read_given(network.buses, "x"), read_given(network.buses, "y")
+    places = np.array([[math.nan if v is None else v for v in column] for column in given], dtype=float).T
+    return places if len(places) == len(network.buses) and np.isfinite(places).all() else None
 
 
 def _walk(network: Network, root: int) -> dict[int, int]:

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from agents.messages.packing import StateMessage
-from coordinator.show.figures.feeder_layout import lay_out
+from coordinator.show.figures.feeder_layout import find_places, lay_out
 from coordinator.show.figures.feeder_profile import OPERATION, find_distances, find_limits
 from dsse_core.grid.columns import read_given
 from scenarios.scenario import Scenario
@@ -37,7 +37,8 @@ def encode_drawing(content: Mapping[str, Any], mode: str) -> Drawing:
 def draw_scenario(scenario: Scenario) -> dict[str, Any]:
     """The grid of ``scenario``: buses in the order of its network, branches in that of its branches."""
     partition, network = scenario.partition, scenario.network
-    place, (distance, axis) = lay_out(network).place, find_distances(network)
+    on_map = find_places(network)
+    place, (distance, axis) = lay_out(network).place if on_map is None else on_map, find_distances(network)
     ids = network.table.bus_id.tolist()
     low, high = find_limits(scenario)
     sees: dict[int, list[str]] = {bus: [] for bus in ids}
@@ -49,6 +50,7 @@ def draw_scenario(scenario: Scenario) -> dict[str, Any]:
         "known": True,
         "title": scenario.name,
         "axis": axis,
+        "is_map": on_map is not None,
         "limits": [low, high],
         "buses": {
             "id": ids,
@@ -102,6 +104,7 @@ def draw_states(run: str, states: Mapping[str, StateMessage]) -> dict[str, Any]:
         "known": False,
         "title": run,
         "axis": "",
+        "is_map": False,
         "limits": list(OPERATION),
         "buses": buses,
         "branches": {key: [] for key in ("id", "from_bus", "to_bus", "in_service", "area")},

@@ -23,7 +23,7 @@ class Health(TypedDict):
 
 
 class BusColumns(TypedDict):
-    """Columns of the grid's buses; coordinates are those of the drawing."""
+    """Columns of the grid's buses; ``x``, ``y``: columns and rows of the drawing, or coordinates where it is a map."""
 
     id: list[int]
     name: list[str]
@@ -68,6 +68,7 @@ class Grid(TypedDict):
     known: bool
     title: str
     axis: str
+    is_map: bool
     limits: list[float]
     buses: BusColumns
     branches: BranchColumns

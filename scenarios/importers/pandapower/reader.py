@@ -6,6 +6,7 @@ open switches and takes unsupplied buses out; the result are MATPOWER's matrices
 
 from __future__ import annotations
 
+import json
 import math
 import warnings
 from collections.abc import Collection, Iterator
@@ -163,6 +164,7 @@ def _convert(name: str, net: Any, sgen: Any, ppc: dict[str, Any]) -> tuple[Conve
 
 def _build_bus(net: Any, row: Any, bus_id: int, base: float) -> Bus:
     name = net.bus.name.get(bus_id)
+    x, y = _read_place(net.bus.geo.get(bus_id)) if "geo" in net.bus else (None, None)
     return Bus(
         id=bus_id,
         base_kv=float(row[BASE_KV].real),
@@ -171,7 +173,19 @@ def _build_bus(net: Any, row: Any, bus_id: int, base: float) -> Bus:
         q_load=float(row[QD].real) / base,
         g_shunt=float(row[GS].real) / base,
         b_shunt=float(row[BS].real) / base,
+        x=x,
+        y=y,
     )
+
+
+def _read_place(geo: object) -> tuple[float, float] | tuple[None, None]:
+    """The place of a bus from its GeoJSON point; None where it has none."""
+    try:
+        x, y = json.loads(str(geo))["coordinates"][:2]
+        place = float(x), float(y)
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return None, None
+    return place if all(map(math.isfinite, place)) else (None, None)
 
 
 def _with_impedance_loads(what: str, conversion: Conversion) -> Network:

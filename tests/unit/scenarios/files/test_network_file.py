@@ -146,7 +146,8 @@ def test_a_network_that_was_written_is_read_back(tmp_path: Path, name: str) -> N
 def test_every_key_of_a_network_is_written(tmp_path: Path) -> None:
     network = load(tmp_path, changed("base_kv = 20.0 }", 'base_kv = 20.0, name = "say \\"hi\\" \\u007f ü" }'))
     lossy = replace(network, branches=(replace(network.branches[0], g=0.003), *network.branches[1:]))
-    assert_same(written_and_read(tmp_path, lossy), lossy)
+    placed = replace(lossy, buses=(replace(lossy.buses[0], x=8.5, y=0.0), *lossy.buses[1:]))
+    assert_same(written_and_read(tmp_path, placed), placed)
 
 
 def written_and_read(tmp_path: Path, network: Network) -> Network:
@@ -213,7 +214,7 @@ LISTS: dict[str, Any] = {
     "name": "two",
     "data_source": "made up",
     "base_mva": 10.0,
-    "bus": {"id": [1, 2, 3], "base_kv": [20.0, 20.0, 20.0], "p_load_mw": [0.0, 5.0, 0.0]},
+    "bus": {"id": [1, 2, 3], "base_kv": [20.0, 20.0, 20.0], "p_load_mw": [0.0, 5.0, 0.0], "x": [None, 8.5, 0.0]},
     "branch": {
         "from": [1, 2],
         "to": [2, 3],

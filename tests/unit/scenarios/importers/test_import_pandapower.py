@@ -107,8 +107,11 @@ def check_power_flow(grid: Imported, net: Any) -> None:
 
 def test_switches_islands_open_ends_and_taps_are_as_in_pandapower_and_reported(tmp_path: Path) -> None:
     net = small_grid()
+    net.bus.loc[14, "geo"] = '{"type": "Point", "coordinates": [8.5, 47, 410]}'
+    net.bus.loc[13, "geo"] = '{"type": "Point", "coordinates": ["east", 47]}'
     grid = imported(tmp_path, net)
     check_power_flow(grid, net)
+    assert [(bus.x, bus.y) for bus in map(grid.network.bus, (12, 13, 14))] == [(None, None), (None, None), (8.5, 47.0)]
     assert list(grid.network.row) == [5, 10, 11, 12, 13, 14, 16]
     assert grid.network.bus(16).name == "B16"
     reported = {(remark.what, remark.text) for remark in grid.remarks}

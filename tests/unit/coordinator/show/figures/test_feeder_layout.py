@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coordinator.show.figures.feeder_layout import lay_out
+from coordinator.show.figures.feeder_layout import find_places, lay_out
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 
 
@@ -61,3 +62,14 @@ def test_a_branch_that_closes_a_loop_moves_no_bus() -> None:
     layout = lay_out(ring)
     assert layout.upstream == {1: 1, 2: 1, 3: 2, 4: 2}
     assert len({tuple(place) for place in layout.place}) == 4
+
+
+def test_a_network_is_a_map_only_if_each_bus_has_both_coordinates() -> None:
+    bare = grid([1, 1])
+    buses = [replace(bus, x=8.5 + bus.id, y=47.0) for bus in bare.buses]
+    found = find_places(replace(bare, buses=tuple(buses)))
+    assert found is not None
+    np.testing.assert_array_equal(found, [[9.5, 47.0], [10.5, 47.0], [11.5, 47.0]])
+    buses[1] = replace(buses[1], y=None)
+    assert find_places(replace(bare, buses=tuple(buses))) is None
+    assert find_places(bare) is None
