@@ -119,14 +119,15 @@ def _tables_of(known: GridTables | None, buses: bool, meters: bool) -> Tables:
 def _show_on(look: Callable[[], Watcher], find_tables: Tables, live: bool, as_json: bool) -> None:
     """Show the views of ``look`` until Ctrl-C, or until the reader of standard output has closed it."""
     if live:
+        from coordinator.watch.observe.causes import find_causes
         from coordinator.watch.observe.view_text import live_view
 
         with live_view() as update:
             while True:
                 watcher = look()
-                update(
-                    watcher.look(time.monotonic()), [t for name, t in find_tables(watcher).items() if name != BRANCHES]
-                )
+                view = watcher.look(time.monotonic())
+                shown = [table for name, table in find_tables(watcher).items() if name != BRANCHES]
+                update(view, shown, find_causes(view, time.time()))
     next_line = 0.0
     while True:
         watcher = look()
@@ -137,14 +138,17 @@ def _show_on(look: Callable[[], Watcher], find_tables: Tables, live: bool, as_js
 
 
 def _format(watcher: Watcher, find_tables: Tables, as_json: bool) -> str:
-    view, tables = watcher.look(time.monotonic()), find_tables(watcher)
-    if as_json:
-        from coordinator.watch.observe.view_json import describe_tables, describe_view
+    from coordinator.watch.observe.causes import find_causes
 
-        return json.dumps({"time": time.time(), **describe_view(view), **describe_tables(tables)})
+    view, at, tables = watcher.look(time.monotonic()), time.time(), find_tables(watcher)
+    if as_json:
+        from coordinator.watch.observe.view_json import describe_causes, describe_tables, describe_view
+
+        causes = describe_causes(find_causes(view, at))
+        return json.dumps({"time": at, "causes": causes, **describe_view(view), **describe_tables(tables)})
     from coordinator.watch.observe.view_text import format_view
 
-    return format_view(view, [table for name, table in tables.items() if name != BRANCHES])
+    return format_view(view, [table for name, table in tables.items() if name != BRANCHES], find_causes(view, at))
 
 
 @command(INSPECT, serves=True, short_help="Serve /metrics, /health and /ready of a running system over HTTP.")

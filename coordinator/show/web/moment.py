@@ -13,9 +13,10 @@ import numpy as np
 from agents.protocol.quality import GOOD, QUALITIES
 from coordinator.show.web.history import History
 from coordinator.show.web.shown_tables import Tables, draw_tables
+from coordinator.watch.observe.causes import find_causes
 from coordinator.watch.observe.grid_tables import GridTables, collect_readings, list_buses
 from coordinator.watch.observe.view import AreaView, View
-from coordinator.watch.observe.view_json import describe_view
+from coordinator.watch.observe.view_json import describe_causes, describe_view
 from coordinator.watch.observe.watcher import Watcher
 
 MOST_EVENTS = 200
@@ -123,6 +124,7 @@ class Moments:
         self._note(at, view, links, lambda: tables)
         self.tables = tables
         return {
+            "causes": describe_causes(find_causes(view, at)),
             "at": at,
             "view": describe_view(view),
             **draw_tables(tables, has_grid=self.known is not None),

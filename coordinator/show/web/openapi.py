@@ -88,9 +88,25 @@ Link = TypedDict("Link", {"from": str, "to": str, "age_s": Number, "alive": bool
 """Link from one area to a neighbour, as the receiver reports it."""
 
 
+class RootCause(TypedDict):
+    """A root cause, in words; ``effects``: of it on others; ``since``: on the clock of ``at``."""
+
+    text: str
+    kind: str
+    what: str
+    action: str
+    since: Number
+    areas: list[str]
+    buses: list[int]
+    branches: list[str]
+    meters: list[str]
+    effects: list[str]
+
+
 class Moment(TypedDict):
     """All that a page shows at one moment; before the first view only number, mode and time."""
 
+    causes: NotRequired[list[RootCause]]
     number: int
     mode: str
     time: float

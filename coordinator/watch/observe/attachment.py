@@ -95,11 +95,12 @@ class Look:
                 case _Shown(key, payload):
                     self._take_shown(key, payload)
                 case (key, bool() as alive):
-                    self._watcher.take_presence(key, alive)
+                    self._watcher.take_presence(key, alive, time.monotonic())
                 case (key, leave_reason):
-                    self._watcher.take_leave(key, leave_reason)
+                    self._watcher.take_leave(key, leave_reason, time.monotonic())
         if self._asked.ask_noted():
             self.asked_at = time.monotonic()
+        self._watcher.is_linked = self.is_linked()
         return self._watcher
 
     def for_whole(self, duration_s: float) -> Watcher:

@@ -149,7 +149,7 @@ class Observer:
         """Note that an area's token appeared or vanished; True where this is a change."""
         if area not in self._courses or self.watcher.is_present(area) == alive:
             return False
-        self.watcher.take_presence(live_key(self.run, "area", area, NO_INCARNATION), alive)
+        self.watcher.take_presence(live_key(self.run, "area", area, NO_INCARNATION), alive, now)
         if not alive:
             self._disturbed_at = now
         self._note_change(now)

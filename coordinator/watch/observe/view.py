@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from agents.protocol.quality import NONE
+from coordinator.watch.observe.notes import Noted
 
 OVER_S = 2.0  # an incarnation silent for so long is over; a watcher does not know the heartbeat
 
@@ -16,6 +17,20 @@ class Extreme:
 
     value: float
     at: str
+
+
+@dataclass(frozen=True, slots=True)
+class Meeting:
+    """The ``buses`` that two areas publish, and the largest differences of their voltages there, p.u. and rad.
+
+    ``vm``: None where the states are of different scans. ``va``: None unless the angles of both count from the
+    substation. ``at``: the bus of the larger of the two.
+    """
+
+    buses: tuple[int, ...]
+    at: int
+    vm: float | None = None
+    va: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +48,8 @@ class AreaView:
     (of each neighbour's information) include the time since the state arrived. ``split``: digest of the split of its
     area file, made at ``split_time``, s since 1970; ``split_edited``: digest of the file as edited since, else empty.
     ``next_split``: digest of the split of the file that lies ready beside it, else empty.
+    ``meetings``: of each neighbour with a common bus. ``noted``: its notes and removed meters, read.
+    ``vanished``: time at which its token vanished, on the watcher's clock, s; None where that is not known.
     """
 
     name: str
@@ -72,6 +89,9 @@ class AreaView:
     split_time: float = 0.0
     split_edited: str = ""
     next_split: str = ""
+    meetings: Mapping[str, Meeting] = field(default_factory=dict)
+    noted: tuple[Noted, ...] = ()
+    vanished: float | None = None
 
     @property
     def state(self) -> str:
@@ -92,7 +112,9 @@ class View:
     ``duplicates``: in words, areas, plants and gateways that run more than once; a restarted process may appear here
     for 2 s. ``other_versions``: in words, the processes of other wire versions, of which only names are known.
     ``strangers``: number of further processes announced as areas: those outside the scenario where it is known, else
-    those beyond the limit. ``more_others``: number of processes beyond ``others``.
+    those beyond the limit. ``more_others``: number of processes beyond ``others``. ``now``: time of the view, s;
+    ``gone``: plants and gateways that were there, as ``role name``, with the time at which each vanished; both on the
+    watcher's clock. ``is_linked``: False where the watcher itself has no link to the bus.
     """
 
     run: str
@@ -102,3 +124,6 @@ class View:
     other_versions: tuple[str, ...] = ()
     strangers: int = 0
     more_others: int = 0
+    now: float = 0.0
+    is_linked: bool = True
+    gone: Mapping[str, float | None] = field(default_factory=dict)

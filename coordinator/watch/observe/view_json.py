@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, fields
 from typing import Any
 
+from coordinator.watch.observe.causes import Cause
 from coordinator.watch.observe.view import AreaView, Extreme, View
 from coordinator.watch.tables.table_files import columns_as_json
 from dsse_core.results.table import Table
 
-OF_AREA = tuple(field.name for field in fields(AreaView) if field.name != "name")
+READ_BY_CAUSES = "meetings", "noted", "vanished"  # in the causes, in words
+OF_AREA = tuple(field.name for field in fields(AreaView) if field.name not in ("name", *READ_BY_CAUSES))
 
 
 def describe_view(view: View) -> dict[str, Any]:
@@ -18,6 +20,11 @@ def describe_view(view: View) -> dict[str, Any]:
     names = "others", "more_others", "duplicates", "other_versions", "strangers"
     about = {name: getattr(view, name) for name in names}
     return {"run": view.run, **about, "areas": {area.name: _describe_area(area) for area in view.areas}}
+
+
+def describe_causes(causes: Iterable[Cause]) -> list[dict[str, Any]]:
+    """Causes as the page and ``dsse watch --json`` have them; ``text``: all in one sentence, with the time of here."""
+    return [{"text": str(cause), **asdict(cause)} for cause in causes]
 
 
 def _describe_area(area: AreaView) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from agents.protocol.quality import DEGRADED, GOOD
 from coordinator.watch.interrupts import Held
+from coordinator.watch.observe.causes import Cause
 from coordinator.watch.observe.table_text import write_table
 from coordinator.watch.observe.view import AreaView, Extreme, View
 from dsse_core.printable import listed, printable, shortened
@@ -30,46 +31,61 @@ WIDEST = 160  # characters; longer lines are hard to read
 STYLES = {GOOD: "green", DEGRADED: "yellow"}  # every other quality is red
 
 
-def format_view(view: View, tables: Iterable[Table] = (), most: int | None = None) -> str:
-    """The view, and below it ``tables`` with ``most`` rows each, as lines of WIDTH characters at most."""
-    lines = [text for text, _ in _write_view(view, WIDTH)]
+def format_view(
+    view: View, tables: Iterable[Table] = (), causes: Sequence[Cause] = (), *, most: int | None = None
+) -> str:
+    """The causes, the view, and below it ``tables`` with ``most`` rows each, as lines of WIDTH characters at most."""
+    lines = [text for text, _ in (*_write_causes(causes, WIDTH), *_write_view(view, WIDTH))]
     for table in tables:
         lines += ["", *write_table(table, WIDTH, most)]
     return "\n".join(lines)
 
 
 @contextmanager
-def live_view() -> Iterator[Callable[[View, Iterable[Table]], None]]:
+def live_view() -> Iterator[Callable[[View, Iterable[Table], Sequence[Cause]], None]]:
     """A function that shows a view in place, in colours, as much of it as the terminal holds."""
     console = Console()
     with Live(console=console, auto_refresh=False) as live:
 
-        def update(view: View, tables: Iterable[Table]) -> None:
+        def update(view: View, tables: Iterable[Table], causes: Sequence[Cause]) -> None:
             width, height = min(console.width, WIDEST), console.height - 1  # the cursor stands in the last line
-            lines = fit_view(view, list(tables), width, height)
+            lines = fit_view(view, list(tables), width, height, causes)
             with Held():  # an interrupted drawing stays on the screen, and the next one begins in its last line
                 live.update(Text("\n").join(Text(line, style=style) for line, style in lines), refresh=True)
 
         yield update
 
 
-def fit_view(view: View, tables: Sequence[Table], width: int, height: int) -> list[tuple[str, str]]:
-    """Lines and their styles, ``height`` at most: the areas, and as many rows of ``tables`` as fit.
+def fit_view(
+    view: View, tables: Sequence[Table], width: int, height: int, causes: Sequence[Cause] = ()
+) -> list[tuple[str, str]]:
+    """Lines and their styles, ``height`` at most: causes, areas, and as many rows of ``tables`` as fit.
 
     Where not all areas fit, those of a quality other than good come first.
     """
     beside = 3  # lines of a table beside its rows: an empty one, the heading, the number of rows left out
     room = height - len(tables) * (LEAST_ROWS + beside)
-    lines = list(_write_view(view, width))
+    first = list(_write_causes(causes, width))
+    lines = [*first, *_write_view(view, width)]
     if len(lines) > room:
         shown = max(1, room - 1)
         worst_first = sorted(view.areas, key=lambda area: area.quality == GOOD)
-        lines = list(_write_view(replace(view, areas=tuple(worst_first)), width))
+        lines = [*first, *_write_view(replace(view, areas=tuple(worst_first)), width)]
         lines = [*lines[:shown], (f"... and {len(lines) - shown} lines more: --once shows all", "")]
     for k, table in enumerate(tables):
         rows = max(LEAST_ROWS, (height - len(lines)) // (len(tables) - k) - beside)
         lines += [("", ""), *((line, "") for line in write_table(table, width, rows))]
     return lines[: max(1, height)]
+
+
+def _write_causes(causes: Sequence[Cause], width: int) -> Iterator[tuple[str, str]]:
+    """Lines of all causes, the first one in the first line, each with its effects below it."""
+    for k, cause in enumerate(causes):
+        yield from ((line, "bold red" if k == 0 else "red") for line in _wrap(str(cause), width))
+        if cause.effects:
+            more = f"; and {len(cause.effects) - MOST_NOTES} more" if len(cause.effects) > MOST_NOTES else ""
+            effects = f"effects: {'; '.join(cause.effects[:MOST_NOTES])}{more}"
+            yield from ((line, "") for line in _wrap(effects, width, "    "))
 
 
 def _write_view(view: View, width: int) -> Iterator[tuple[str, str]]:

@@ -16,7 +16,8 @@ from agents.peers.freshness import is_old
 from agents.protocol.quality import assess_from_outside
 from agents.runtime.presence import MAX_NAMES, Presence
 from coordinator.watch.observe.duplicates import NOUNS, describe_duplicate
-from coordinator.watch.observe.view import OVER_S, AreaView, Extreme, View
+from coordinator.watch.observe.notes import Noted, read_notes
+from coordinator.watch.observe.view import OVER_S, AreaView, Extreme, Meeting, View
 from dsse_core.printable import listed
 
 MOST_VERSIONS = 10  # other wire versions that are kept apart, and
@@ -25,6 +26,7 @@ MOST_AREAS = 1000  # that are shown where the areas' names are not known
 MOST_OTHERS, MOST_DUPLICATES = 100, 100  # that are named
 MOST_BYTES = 32 * 2**20  # of the messages that are kept, where the areas' names are not known
 ROLES = ("plant", "coordinator", "gateway")  # of processes other than areas, named first
+VANISHING = ("area", "plant", "gateway")  # roles of processes that are missed
 SILENT_PAUSES = 3  # an area without a state for so many of its longest pauses, and for OVER_S, is silent
 
 
@@ -34,10 +36,12 @@ class Watcher:
 
     ``areas``: names of the areas, if known. Then no other name is an area, and strangers displace no area. Otherwise
     the first ``MAX_NAMES`` areas are kept, with ``MOST_BYTES`` of messages, and ``MOST_AREAS`` are shown.
+    ``is_linked``: the watcher has a link to the bus, by which all else comes.
     """
 
     run: str
     areas: frozenset[str] | None = None
+    is_linked: bool = True
     _presence: Presence = field(default_factory=Presence)
     _strangers: Presence = field(default_factory=Presence)  # all processes but ``areas``, if these are known
     _other_versions: dict[int, Presence] = field(default_factory=dict)
@@ -46,6 +50,8 @@ class Watcher:
     _received: dict[str, tuple[float, StateMessage]] = field(default_factory=dict)
     _first_received: dict[str, float] = field(default_factory=dict)  # area -> time of its first state
     _longest_pause: dict[str, float] = field(default_factory=dict)  # between two states of an area's incarnation, s
+    _noted: dict[str, tuple[Noted, ...]] = field(default_factory=dict)  # of an area's last state
+    _vanished: dict[tuple[str, str], float | None] = field(default_factory=dict)  # role and name of absent ones -> when
     _readings: dict[str, ReadingsMessage] = field(default_factory=dict)
     _sizes: dict[tuple[str, str], int] = field(default_factory=dict)  # area and kind of message -> bytes, and
     _bytes: int = 0  # their sum
@@ -55,17 +61,26 @@ class Watcher:
         own = (field for field in fields(self) if field.name not in ("run", "areas"))
         return replace(self, **{field.name: _copy(getattr(self, field.name)) for field in own})
 
-    def take_presence(self, key: str, alive: bool) -> None:
-        """Note that a token of any wire version appeared or vanished."""
+    def take_presence(self, key: str, alive: bool, now: float | None = None) -> None:
+        """Note that a token of any wire version appeared or vanished; ``now``: when, if that is known."""
         if (version := version_of(key)) != WIRE_VERSION:
             if version in self._other_versions or len(self._other_versions) < MOST_VERSIONS:
                 self._other_versions.setdefault(version, Presence()).take(key, alive)
             return
         role, name = name_of_live(key)
-        if self._presence_of(key).take(key, alive) and alive and self._is_known(name):
+        if not self._presence_of(key).take(key, alive):
+            return
+        self._note_vanished(role, name, alive, now)
+        if alive and self._is_known(name):
             self._leave_reasons.pop(name, None)  # of its former incarnation
             if role == "area" and len(self._shown) < MAX_NAMES:
                 self._shown[name] = None
+
+    def _note_vanished(self, role: str, name: str, alive: bool, now: float | None) -> None:
+        if alive:
+            self._vanished.pop((role, name), None)
+        elif role in VANISHING and len(self._vanished) < MAX_NAMES:
+            self._vanished[role, name] = now
 
     def forget_presence(self) -> None:
         """Forget all tokens, since the links to the bus are opened again."""
@@ -74,9 +89,13 @@ class Watcher:
         self._shown.clear()
         self._other_versions.clear()
 
-    def take_leave(self, key: str, leave_reason: str) -> None:
-        """Note the leave message of a process."""
-        is_gone = self._presence_of(key).take_leave(key) and self._is_known(name_of_live(key)[1])
+    def take_leave(self, key: str, leave_reason: str, now: float | None = None) -> None:
+        """Note the leave message of a process; ``now``: when it came, if that is known."""
+        role, name = name_of_live(key)
+        was_there = self._presence_of(key).has(role, name)
+        is_gone = self._presence_of(key).take_leave(key) and self._is_known(name)
+        if was_there and not self._presence_of(key).has(role, name):
+            self._note_vanished(role, name, False, now)
         if is_gone and len(self._leave_reasons) < MAX_NAMES:
             self._leave_reasons[name_of_live(key)[1]] = leave_reason
 
@@ -100,6 +119,8 @@ class Watcher:
             return False
         same_incarnation = state.header.incarnation == last.header.incarnation
         self._longest_pause[area] = max(now - at, self._longest_pause.get(area, 0.0)) if same_incarnation else 0.0
+        if area not in self._received or (state.notes, state.removed) != (last.notes, last.removed):
+            self._noted[area] = read_notes(state.notes, state.removed, self._noted.get(area), now)
         self._received[area] = (now, state)
         self._first_received.setdefault(area, now)
         return True
@@ -178,7 +199,9 @@ class Watcher:
         views = tuple(self._view_of(name, name in present or self._may_be_there(name, now), now) for name in names)
         duplicates = tuple(islice(self._find_duplicates(), MOST_DUPLICATES))
         others, more_others = self._find_others()
-        return View(self.run, views, others, duplicates, self.find_other_versions(), strangers, more_others)
+        gone = {f"{role} {name}": at for (role, name), at in sorted(self._vanished.items()) if role != "area"}
+        versions = self.find_other_versions()
+        return View(self.run, views, others, duplicates, versions, strangers, more_others, now, self.is_linked, gone)
 
     @property
     def _most_areas(self) -> int:
@@ -241,10 +264,12 @@ class Watcher:
         leave_reason = "" if present else self._leave_reasons.get(name, "")
         if name not in self._received:
             silence = f"has left: {leave_reason}" if leave_reason else "" if present else "is gone"
-            return AreaView(name, present, None, leave_reason, notes=assess_from_outside(None, silence).notes)
+            vanished = None if present else self._vanished.get(("area", name))
+            notes = assess_from_outside(None, silence).notes
+            return AreaView(name, present, None, leave_reason, notes=notes, vanished=vanished)
         at, state = self._received[name]
         is_silent = self.is_silent(name, now)
-        mismatches = [mismatch for other in state.sent if (mismatch := self._mismatch(state, other))]
+        meetings = {other: meeting for other in state.sent if (meeting := self._meeting(state, other))}
         silence = f"has sent nothing for {now - at:.1f} s" if is_silent else ""
         if not present:
             silence = f"has left: {leave_reason}" if leave_reason else "is gone"
@@ -274,8 +299,8 @@ class Watcher:
             referenced=state.referenced,
             checked=state.checked,
             neighbours=tuple(state.sent),
-            mismatch_vm_pu=max((vm for vm, _ in mismatches), default=None),
-            mismatch_va_deg=max((math.degrees(va) for _, va in mismatches if va is not None), default=None),
+            mismatch_vm_pu=max((m.vm for m in meetings.values() if m.vm is not None), default=None),
+            mismatch_va_deg=max((math.degrees(m.va) for m in meetings.values() if m.va is not None), default=None),
             exchanges=count_exchanges(state),
             messages=state.messages,
             bytes=state.bytes,
@@ -287,23 +312,26 @@ class Watcher:
             split_time=state.split.time,
             split_edited=state.split.edited,
             next_split=state.next_split.digest,
+            meetings=meetings,
+            noted=self._noted.get(name, ()),
+            vanished=None if present else self._vanished.get(("area", name)),
         )
 
-    def _mismatch(self, state: StateMessage, other: str) -> tuple[float, float | None] | None:
-        """The largest differences of magnitude and angle between an area and a neighbour, p.u. and rad.
-
-        None unless the two have estimates of the same scan with a common bus. The angle is None unless the angles of
-        both count from the substation.
-        """
+    def _meeting(self, state: StateMessage, other: str) -> Meeting | None:
+        """The meeting of an area with a neighbour; None without a common bus."""
         theirs = self._received[other][1] if other in self._received else None
-        shared = set(state.buses) & set(theirs.buses) if theirs else set()
-        if theirs is None or not shared or theirs.header.scan != state.header.scan:
+        buses = tuple(sorted(set(state.buses) & set(theirs.buses))) if theirs else ()
+        if theirs is None or not buses:
             return None
-        pairs = [(state.buses.index(bus), theirs.buses.index(bus)) for bus in shared]
-        vm = max(abs(state.vm[i] - theirs.vm[j]) for i, j in pairs)
+        if theirs.header.scan != state.header.scan:
+            return Meeting(buses, buses[0])
+        pairs = [(state.buses.index(bus), theirs.buses.index(bus)) for bus in buses]
+        vm = [abs(state.vm[i] - theirs.vm[j]) for i, j in pairs]
         if not (state.referenced and theirs.referenced):
-            return vm, None
-        return vm, max(abs(math.remainder(state.va[i] - theirs.va[j], 2 * math.pi)) for i, j in pairs)
+            return Meeting(buses, buses[vm.index(max(vm))], max(vm))
+        va = [abs(math.remainder(state.va[i] - theirs.va[j], 2 * math.pi)) for i, j in pairs]
+        larger = vm if max(vm) >= max(va) else va
+        return Meeting(buses, buses[larger.index(max(larger))], max(vm), max(va))
 
 
 def count_exchanges(state: StateMessage) -> int:

@@ -80,4 +80,4 @@ def _show(watcher: Watcher, at: float, item: Update) -> None:
         case ReadingsMessage():
             watcher.take_readings(item)
         case Presence(key, alive):
-            watcher.take_presence(key, alive)
+            watcher.take_presence(key, alive, at)

@@ -1,0 +1,474 @@
+"""Root causes of what is wrong in a run, each with what to do and with its effects: one function of a view.
+
+A cause names who and where, since when, and the cure. What follows from it, such as a neighbour that is no longer
+``good``, stands below it as its effect and is no cause of its own. ``WORDS`` has all sentences, and
+docs/reference/causes.md the same table.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+from agents.protocol.quality import GOOD
+from coordinator.watch.observe.notes import BAD_DATA, Noted
+from coordinator.watch.observe.view import OVER_S, AreaView, View
+from dsse_core.printable import listed, printable, shortened
+
+
+class Words(NamedTuple):
+    """Sentence and cure of a kind of cause, with its names in braces."""
+
+    what: str
+    action: str
+
+
+WORDS = {
+    "nobody": Words("no area is there", "start the agents"),
+    "router": Words("no area has been received", "start the router again, or look at the network to it"),
+    "version": Words("{fault}", "{cure}"),
+    "duplicate": Words("{fault}", "stop the older ones"),
+    "gone": Words("{area} is gone", "restart its agent"),
+    "left": Words("{area} has left ({why})", "start its agent again"),
+    "silent": Words("{area} has sent nothing", "its process hangs, or has no link: look at its log and its network"),
+    "contradiction": Words("{area} rejects {other}: {why}", "correct the area file that is wrong"),
+    "file": Words("{whose} {fault}", "{cure} ({detail})"),
+    "clock": Words("the clock of {area} is {seconds} s {where}", "set it"),
+    "clocks": Words("the clocks of {area} and {other} differ by {seconds} s", "set the wrong one"),
+    "gateway": Words("{gateway} is gone", "start it again"),
+    "map": Words("all power readings of gateway {gateway} look wrong ({why})", "look at its map"),
+    "telemetry": Words("no readings have arrived in {areas}", "look at plant or gateways, and at the network to them"),
+    "link": Words("nothing has passed between {area} and {other}", "look at the network between them"),
+    "one-way link": Words("{area} has received nothing from {other}", "look at the network between them"),
+    "mismatch": Words(
+        "{area} and {other} disagree at bus {bus} by {difference}", "one of them sends false values: look at both"
+    ),
+    "liar": Words("{area} disagrees with {others} at bus {bus} by {difference}", "it sends false values: look at it"),
+    "distrust": Words("{area} does not believe {other}: {why}", "{other} sends false values, or passes them on"),
+    "impostor": Words("another process sends in the name of {other}", "use keys"),
+    "not observable": Words("no reading determines buses {buses}", "bring back the meters without a reading"),
+    "no estimate": Words("{area} has no estimate: {why}", "look for a wrong meter or a wrong file"),
+    "contradictory": Words("the readings contradict each other", "look for a wrong meter or a wrong file{hint}"),
+    "many removed": Words("{count} meters of {area} are removed", "look at its gateway and its file"),
+    "overdue": Words("{share} % of the readings of {area} are overdue or missing", "look at its gateway"),
+    "mistimed": Words("readings of {area} have an impossible time, as of {meter}", "set the clock of their gateway"),
+    "band": Words("voltages in {area} are outside {band}, {vm} p.u. at bus {bus}", "look for a wrong meter"),
+    "unreadable": Words("{area} cannot read what {other} sends ({why})", "look at the network and at the version"),
+    "loading": Words("branch {branch} is at {percent} % of its rating{more}", "relieve it"),
+    "low voltage": Words("bus {bus} is at {vm} p.u., below {limit} p.u.{more}", "raise the voltage, or shed load"),
+    "high voltage": Words("bus {bus} is at {vm} p.u., above {limit} p.u.{more}", "lower the voltage"),
+    "undecided": Words("of the readings of {meters} in {area} one is wrong", "check which; {meter} is left out"),
+    "bad data": Words("the readings of {meters} in {area} are wrong", "check them; they are left out"),
+    "under way": Words("the estimate of {areas} is under way", "wait for its end"),
+    "quality": Words("{area} is {quality}: {why}", "look at the log of its agent"),
+}
+"""Kind -> its words; where there are several causes, an earlier kind comes first."""
+KINDS = tuple(WORDS)
+HARMLESS = ("loading", "low voltage", "high voltage", "undecided", "bad data", "unreadable", "impostor")
+"""Kinds that leave the quality of states as it is: no state is worse because of them."""
+EXPLAINED = {
+    "telemetry": {"gateway"},
+    "overdue": {"gateway", "telemetry"},
+    "not observable": {"gateway", "telemetry", "overdue"},
+    "contradictory": {"map", "file", "mismatch", "liar", "many removed"},
+    "no estimate": {"file", "contradictory"},
+    "mistimed": {"clock", "clocks"},
+    "band": {"map", "file", "mismatch", "liar"},
+    "contradiction": {"file"},
+    "undecided": {"map", "many removed"},
+    "bad data": {"map", "many removed"},
+}
+"""Kind of an effect -> the kinds of its possible causes."""
+ITSELF = ("router", "gone", "left", "silent", "under way", "quality")
+"""Kinds whose areas are the cause itself, and not an effect."""
+MOST_CAUSES, MOST_EFFECTS, MOST_NAMED = 8, 12, 4
+LONGEST_PART = 200  # characters of a text from a note
+DISAGREES = 1e-6  # p.u. and rad, between final voltages of the same scan
+EPOCH_S = 1e8  # times below count from the begin of a run
+GATEWAYS = ("plant", "gateway")  # roles of the senders of readings
+METER = re.compile(r"[a-z_]+@(?P<bus>\d{1,15})(?::(?P<branch>.+))?")
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """A root cause: ``what`` is wrong, as a sentence without its end, and the ``action`` that cures it.
+
+    ``since``: s since 1970, in a playback from its begin; None where it is not known. ``areas``, ``buses``,
+    ``branches``, ``meters``: where. ``effects``: on others, a sentence each.
+    """
+
+    kind: str
+    what: str
+    action: str
+    since: float | None = None
+    areas: tuple[str, ...] = ()
+    buses: tuple[int, ...] = ()
+    branches: tuple[str, ...] = ()
+    meters: tuple[str, ...] = ()
+    effects: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        since = "" if self.since is None else f" since {write_time(self.since)}"
+        return f"{self.what}{since}: {self.action}"
+
+
+def write_time(at: float) -> str:
+    """Time of day here; of a time from the begin of a run, the seconds."""
+    return time.strftime("%H:%M:%S", time.localtime(at)) if at >= EPOCH_S else f"{at:.1f} s"
+
+
+def find_causes(view: View, at: float) -> tuple[Cause, ...]:
+    """The root causes of what is wrong in ``view``, the first one first; empty where nothing is.
+
+    ``at``: time of the view, s since 1970 or from the begin of a playback.
+    """
+    found = _Findings(view, at - view.now)
+    roots = list(found.find())
+    kinds = {cause.kind for cause in roots}
+    roots = [cause for cause in roots if not EXPLAINED.get(cause.kind, set()) & kinds]
+    if all(cause.kind in HARMLESS for cause in roots):
+        roots += found.find_rest()
+    roots.sort(key=lambda cause: KINDS.index(cause.kind))
+    return tuple(_add_effects(view, roots[:MOST_CAUSES]))
+
+
+@dataclass(frozen=True)
+class _Findings:
+    """Causes in ``view``; ``offset``: of the time shown to that of the watcher's clock, s."""
+
+    view: View
+    offset: float
+
+    @cached_property
+    def areas(self) -> dict[str, AreaView]:
+        return {area.name: area for area in self.view.areas}
+
+    @cached_property
+    def there(self) -> dict[str, AreaView]:
+        """The areas that publish now; what the others have said last no longer counts."""
+        return {a.name: a for a in self.view.areas if a.present and not a.silent and a.age_s is not None}
+
+    def make(self, kind: str, words: Mapping[str, object], since: float | None, **where: Any) -> Cause:
+        """The cause of ``kind`` with its words filled in; ``since``: on the watcher's clock. ``where``: its places."""
+        shown = {name: shortened(printable(str(word)), LONGEST_PART) for name, word in words.items()}
+        what, action = (words.format_map(shown) for words in WORDS[kind])
+        where["areas"] = tuple(name for name in where.get("areas", ()) if name in self.areas)
+        return Cause(kind, what, action, None if since is None else since + self.offset, **where)
+
+    def find(self) -> Iterator[Cause]:
+        """All causes but those of ``find_rest``, effects among them."""
+        yield from self.find_missing()
+        for sentence in self.view.other_versions:
+            fault, _, cure = sentence.rpartition(": ")
+            yield self.make("version", {"fault": fault, "cure": cure}, None)
+        for sentence in self.view.duplicates:
+            yield self.make("duplicate", {"fault": sentence.partition(": ")[0]}, None)
+        yield from self.find_files()
+        yield from self.find_clocks()
+        yield from self.find_telemetry()
+        yield from self.find_links()
+        yield from self.find_disagreements()
+        yield from self.find_readings()
+
+    @cached_property
+    def unreachable(self) -> tuple[AreaView, ...]:
+        """The areas to which the way is lost: none is there, and none has said why, or this watcher has no link."""
+        silent = [area for area in self.view.areas if area.present and area.silent]
+        gone = [area for area in self.view.areas if not area.present and not area.leave_reason]
+        lost = [area for area in (*silent, *gone) if area.age_s is not None]
+        has_others = any(other.partition(" ")[0] in GATEWAYS for other in self.view.others)
+        is_seen = len(silent) > 1 or (len(lost) > 1 and not silent and not has_others)
+        return tuple(lost) if not self.view.is_linked or (is_seen and not self.there) else ()
+
+    @cached_property
+    def lost_at(self) -> float:
+        """Time of the last sign of ``unreachable`` areas; infinite without any. What vanished then says no more."""
+        return max(
+            (self.view.now - area.age_s for area in self.unreachable if area.age_s is not None), default=math.inf
+        )
+
+    def find_missing(self) -> Iterator[Cause]:
+        """Areas that are not there; of all at once the way to them."""
+        areas = self.view.areas
+        if self.unreachable or not self.view.is_linked:
+            names = [a.name for a in self.unreachable if a.present or not _is_before(a.vanished, self.lost_at)]
+            yield self.make("router", {}, self.lost_at if names else None, areas=names)
+        elif not areas:
+            yield self.make("nobody", {}, None)
+        for area in areas:
+            since = self._gone_since(area)
+            if not area.present and (area not in self.unreachable or _is_before(since, self.lost_at)):
+                kind, words = "left" if area.leave_reason else "gone", {"area": area.name, "why": area.leave_reason}
+                yield self.make(kind, words, since, areas=(area.name,), buses=self._buses_of(area))
+            elif area.present and area.silent and area not in self.unreachable:
+                since = None if area.age_s is None else self.view.now - area.age_s
+                yield self.make("silent", {"area": area.name}, since, areas=(area.name,), buses=self._buses_of(area))
+
+    def _gone_since(self, area: AreaView) -> float | None:
+        if area.vanished is not None:
+            return area.vanished
+        ages = [area.age_s] if area.age_s is not None else [a.ages_s[area.name] for a in self._hearing(area.name)]
+        return self.view.now - min(ages) if ages else None
+
+    def _hearing(self, name: str) -> list[AreaView]:
+        return [area for area in self.there.values() if name in area.ages_s]
+
+    def _buses_of(self, area: AreaView) -> tuple[int, ...]:
+        """The boundary buses of an area."""
+        met = [area.meetings.values(), *([a.meetings[area.name]] for a in self.view.areas if area.name in a.meetings)]
+        return tuple(sorted({bus for meetings in met for meeting in meetings for bus in meeting.buses}))
+
+    def noted(self, *kinds: str) -> list[tuple[AreaView, Noted]]:
+        """The notes of ``kinds`` of the areas that are there, each with its area."""
+        return [(area, noted) for area in self.there.values() for noted in area.noted if noted.kind in kinds]
+
+    def find_files(self) -> Iterator[Cause]:
+        for area, noted in self.noted("contradiction"):
+            why, _, _ = noted.parts["why"].partition("; ")
+            words = {"area": area.name, "other": noted.parts["other"], "why": why}
+            yield self.make("contradiction", words, noted.since, areas=(area.name, noted.parts["other"]))
+        faults: dict[str, Noted] = {}
+        for area, noted in self.noted("file"):
+            name = area.name if noted.parts["other"] == "this area" else noted.parts["other"]
+            faults[name] = min(faults.get(name, noted), noted, key=lambda n: math.inf if n.since is None else n.since)
+        for name, noted in faults.items():
+            words = {"whose": f"the file of {name}" if name in self.areas else name, **noted.parts}
+            yield self.make("file", words, noted.since, areas=(name,))
+
+    def find_clocks(self) -> Iterator[Cause]:
+        """Clocks that are off: the one that disagrees with most, as long as any disagree; of two alone, both."""
+        ahead: dict[frozenset[str], tuple[str, float, Noted]] = {}  # pair -> the one said ahead, by how much
+        for area, noted in self.noted("future", "clock"):
+            other, seconds = noted.parts["other"], _number(noted.parts["seconds"])
+            first = area.name if noted.parts.get("where") == "behind" else other
+            ahead.setdefault(frozenset((area.name, other)), (first, seconds, noted))
+        trusted = Counter(
+            name
+            for area in self.there.values()
+            for other in area.clock_skews_s
+            if frozenset((area.name, other)) not in ahead
+            for name in (area.name, other)
+        )
+        while ahead:
+            named = Counter(name for pair in ahead for name in pair)
+            doubt = {name: (count, -trusted[name]) for name, count in named.items()}
+            wrong = max(sorted(doubt), key=doubt.__getitem__)
+            of_wrong = {pair: said for pair, said in ahead.items() if wrong in pair}
+            pair, (first, seconds, noted) = next(iter(of_wrong.items()))
+            (other,) = pair - {wrong} or {wrong}
+            if doubt[other] == doubt[wrong]:
+                words: dict[str, object] = {"area": min(pair), "other": max(pair), "seconds": f"{seconds:.4g}"}
+                yield self.make("clocks", words, noted.since, areas=sorted(pair))
+            else:
+                words = {"area": wrong, "seconds": f"{seconds:.4g}", "where": "ahead" if first == wrong else "behind"}
+                yield self.make("clock", words, noted.since, areas=[wrong])
+            ahead = {pair: said for pair, said in ahead.items() if pair not in of_wrong}
+
+    def find_telemetry(self) -> Iterator[Cause]:
+        lacking = {area.name: noted for area, noted in self.noted("telemetry")}
+        for other, since in self.view.gone.items():
+            role, _, name = other.partition(" ")
+            if self.unreachable and not _is_before(since, self.lost_at):
+                continue
+            yield self.make("gateway", {"gateway": name if role == "plant" else other}, since, areas=(*lacking,))
+        off = {area.name for area, noted in self.noted("future") if noted.parts["other"] == "telemetry"}
+        if lacking := {name: noted for name, noted in lacking.items() if name not in off}:
+            is_first = any("never" in noted.parts for noted in lacking.values())
+            since = None if is_first else self.view.now - min(self.areas[name].telemetry_age_s for name in lacking)
+            yield self.make("telemetry", {"areas": listed([*lacking], MOST_NAMED)}, since, areas=(*lacking,))
+        for gateway, (area, noted) in {n.parts["other"]: (a, n) for a, n in self.noted("map")}.items():
+            words = {"gateway": gateway, "why": noted.parts["why"]}
+            yield self.make("map", words, noted.since, areas=(area.name,))
+
+    def find_links(self) -> Iterator[Cause]:
+        """Links between areas that are there, and of which neither rejects or excludes the other."""
+        barred = {
+            frozenset((area.name, noted.parts["other"]))
+            for area, noted in self.noted("contradiction", "future", "distrust", "unreadable", "impostor")
+        }
+        pairs = {frozenset((name, other)) for name, area in self.there.items() for other in area.neighbours}
+        for pair in sorted(pairs - barred, key=sorted):
+            if len(pair) != 2 or not pair <= self.there.keys():
+                continue
+            one, two = (self.there[name] for name in sorted(pair))
+            deaf = [(a, b) for a, b in ((one, two), (two, one)) if not _hears(a, b.name)]
+            if not deaf or not all(area.estimated for area, _ in deaf):
+                continue
+            (area, other), kind = deaf[0], "link" if len(deaf) == 2 else "one-way link"
+            ages = [a.ages_s[b.name] for a, b in deaf if b.name in a.ages_s]
+            buses = next((a.meetings[b.name].buses for a, b in deaf if b.name in a.meetings), ())
+            words, names = {"area": area.name, "other": other.name}, tuple(sorted(pair))
+            yield self.make(kind, words, self.view.now - min(ages) if ages else None, areas=names, buses=buses)
+
+    def find_disagreements(self) -> Iterator[Cause]:
+        for area, noted in self.noted("distrust", "false count"):
+            words: dict[str, object] = {"area": area.name, "other": noted.parts["other"], "why": noted.parts["why"]}
+            yield self.make("distrust", words, noted.since, areas=(area.name, noted.parts["other"]))
+        pairs: dict[frozenset[str], _Difference] = {}
+        for area, noted in self.noted("mismatch"):
+            bus, pair = _first_number(noted.parts["buses"]), frozenset((area.name, noted.parts["other"]))
+            said = _Difference(bus, _number(noted.parts["vm"]), math.radians(_number(noted.parts["va"])), noted.since)
+            pairs[pair] = max(pairs.get(pair, said), said, key=lambda difference: difference.size)
+        for area in self.there.values():
+            for other, met in area.meetings.items():
+                is_sure = other in self.there and area.said_quality == self.there[other].said_quality == GOOD
+                seen = _Difference(met.at, met.vm or 0.0, met.va or 0.0, None)
+                if is_sure and seen.size > DISAGREES:
+                    pairs.setdefault(frozenset((area.name, other)), seen)
+        named = Counter(name for pair in pairs for name in pair)
+        liars = [name for name, count in named.items() if count > 1]
+        for liar in liars:
+            if mine := {pair: difference for pair, difference in pairs.items() if liar in pair}:
+                others = sorted({name for pair in mine for name in pair} - {liar})
+                worst = max(mine.values(), key=lambda difference: difference.size)
+                words = {
+                    "area": liar,
+                    "others": listed(others, MOST_NAMED),
+                    "bus": worst.bus,
+                    "difference": worst.words,
+                }
+                buses = tuple(sorted({difference.bus for difference in mine.values()}))
+                yield self.make("liar", words, worst.since, areas=(liar, *others), buses=buses)
+                pairs = {pair: difference for pair, difference in pairs.items() if liar not in pair}
+        for pair, worst in pairs.items():
+            names = tuple(sorted(pair))
+            words = {"area": names[0], "other": names[-1], "bus": worst.bus, "difference": worst.words}
+            yield self.make("mismatch", words, worst.since, areas=names, buses=(worst.bus,))
+
+    def find_readings(self) -> Iterator[Cause]:
+        """Causes in the readings; one that all areas state is one cause."""
+        seen = set[tuple[str, ...]]()
+        for area, noted in self.noted(
+            "impostor", "not observable", "no estimate", "contradictory", "many removed", "overdue", "mistimed", "band",
+            "unreadable", "undecided",
+        ):  # fmt: skip
+            is_shared = noted.kind in ("not observable", "contradictory", "impostor")
+            about = (noted.kind, noted.parts.get("other", "")) if is_shared else (noted.kind, area.name)
+            if about in seen:
+                continue
+            seen.add(about)
+            parts = {"area": area.name, **noted.parts}
+            buses = tuple(int(word) for word in re.findall(r"\d{1,15}", noted.parts.get("buses", "")))[:MOST_EFFECTS]
+            meters = [noted.parts[name] for name in ("meter",) if name in noted.parts]
+            parts["bus"], parts["hint"] = str(next(iter(buses), "")), "".join(f"; {name} stands out" for name in meters)
+            if noted.kind == "undecided":
+                meters += noted.parts["others"].split(", ")
+                parts["meters"] = listed(meters, MOST_NAMED)
+            areas = (area.name,) if noted.kind != "contradictory" else ()
+            yield self.make(noted.kind, parts, noted.since, areas=areas, **_find_places(meters, buses))
+        for area in self.there.values():
+            doubted = {noted.parts["meter"] for noted in area.noted if noted.kind == "undecided"}
+            removed = [n for n in area.noted if n.kind == BAD_DATA and n.parts["meter"] not in doubted]
+            if removed:
+                meters = [noted.parts["meter"] for noted in removed]
+                words = {"meters": listed(meters, MOST_NAMED), "area": area.name}
+                known = [noted.since for noted in removed if noted.since is not None]
+                since = min(known) if len(known) == len(removed) else None
+                yield self.make(BAD_DATA, words, since, areas=(area.name,), **_find_places(meters))
+
+    def find_rest(self) -> Iterator[Cause]:
+        """The worst state that is not good, where no cause is known; work under way comes to its end by itself."""
+        poor = [area for area in self.there.values() if area.quality != GOOD]
+        under_way = [area for area in poor if any(noted.kind == "under way" for noted in area.noted)]
+        under_way += [area for area in self.view.areas if area.present and area.age_s is None]
+        if under_way:
+            names = [area.name for area in under_way]
+            yield self.make("under way", {"areas": listed(names, MOST_NAMED)}, None, areas=names)
+        elif poor:
+            area = min(poor, key=lambda area: _is_passed_on(area.notes))
+            words = {"area": area.name, "quality": area.quality, "why": next(iter(area.notes), "no reason is stated")}
+            yield self.make("quality", words, None, areas=(area.name,))
+
+
+class _Difference(NamedTuple):
+    """The difference of two areas at ``bus``, p.u. and rad."""
+
+    bus: int
+    vm: float
+    va: float
+    since: float | None
+
+    @property
+    def size(self) -> float:
+        return max(self.vm, self.va)
+
+    @property
+    def words(self) -> str:
+        return f"{self.vm:.3g} p.u." if self.vm >= self.va else f"{math.degrees(self.va):.3g} deg"
+
+
+def _is_before(since: float | None, lost_at: float) -> bool:
+    """True where a process was gone already when the way to all was lost."""
+    return since is not None and since < lost_at - OVER_S
+
+
+def _hears(area: AreaView, other: str) -> bool:
+    return other in area.ages_s and area.ages_s[other] < area.silent_after_s
+
+
+def _is_passed_on(notes: Iterable[str]) -> bool:
+    """True where all that an area says is what its neighbours say."""
+    return all(note.startswith("behind ") for note in notes)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return 0.0
+
+
+def _first_number(text: str) -> int:
+    return int(next(iter(re.findall(r"\d{1,15}", text)), 0))
+
+
+def _find_places(meters: Iterable[str], buses: Iterable[int] = ()) -> dict[str, Any]:
+    """``meters``, and the buses and branches where they are, by the form of their ids."""
+    ids = tuple(meters)
+    found = [match for meter in ids if (match := METER.fullmatch(meter))]
+    at = {int(match["bus"]) for match in found if not match["branch"]}
+    branches = tuple(sorted({match["branch"] for match in found if match["branch"]}))
+    return {"meters": ids, "buses": tuple(sorted({*buses, *at})), "branches": branches}
+
+
+def _add_effects(view: View, causes: list[Cause]) -> Iterator[Cause]:
+    """The causes, each with the areas whose quality it has lowered: of several causes the nearest, else the first."""
+    links = _find_links(view)
+    hops = {k: _count_hops(links, cause.areas) for k, cause in enumerate(causes) if cause.kind not in HARMLESS}
+    effects: list[list[str]] = [[] for _ in causes]
+    for area in view.areas:
+        if hops and area.quality != GOOD:
+            nearest = min(hops, key=lambda k: hops[k].get(area.name, math.inf if causes[k].areas else 0))
+            if not (causes[nearest].kind in ITSELF and area.name in causes[nearest].areas):
+                why = f": {shortened(printable(area.notes[0]), LONGEST_PART)}" if area.notes else ""
+                effects[nearest].append(f"{printable(area.name)} is {printable(area.quality)}{why}")
+    for cause, sentences in zip(causes, effects, strict=True):
+        more = [f"and {len(sentences) - MOST_EFFECTS} areas more"] if len(sentences) > MOST_EFFECTS else []
+        yield replace(cause, effects=(*sentences[:MOST_EFFECTS], *more))
+
+
+def _find_links(view: View) -> dict[str, set[str]]:
+    links: dict[str, set[str]] = {}
+    for area in view.areas:
+        for other in area.neighbours:
+            links.setdefault(area.name, set()).add(other)
+            links.setdefault(other, set()).add(area.name)
+    return links
+
+
+def _count_hops(links: Mapping[str, Collection[str]], start: Iterable[str]) -> dict[str, int]:
+    """Area -> number of links between it and the nearest area of ``start``."""
+    hops = dict.fromkeys(start, 0)
+    reached = list(hops)
+    for name in reached:  # which grows
+        for other in links.get(name, ()):
+            if other not in hops:
+                hops[other] = hops[name] + 1
+                reached.append(other)
+    return hops

@@ -1,0 +1,150 @@
+"""Each fault is named by its one root cause in words, and what follows from it by its effects."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from pathlib import Path
+
+import pytest
+
+from agents.messages.packing import Incarnation
+from agents.peers.clock_skew import Skew
+from agents.protocol import quality
+from coordinator.watch.observe.causes import KINDS, WORDS, find_causes
+from coordinator.watch.observe.notes import read_notes
+from coordinator.watch.observe.view import View
+from coordinator.watch.observe.watcher import Watcher
+from dsse_core.split_identity import SplitIdentity, SplitUse
+from tests.support.faulted import FAULTS, SEEN_AT_S, Feeder, run_with, words_of
+from tests.support.levels import further
+from tests.support.shown_states import published_by
+
+TABLE = Path(__file__).parents[5] / "docs/reference/causes.md"
+CERTAIN = [("area killed", "bad meter"), ("link cut", "clock off"), ("wrong file", "liar")]
+PAIRS = [pair for pair in itertools.combinations(FAULTS, 2) if "router dead" not in pair]
+
+
+def test_nothing_is_wrong_in_a_feeder_without_fault():
+    feeder = run_with({})
+    assert {area.quality for area in feeder.watcher.look(SEEN_AT_S).areas} == {"good"}
+    assert feeder.find_causes() == ()
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_has_one_root_cause_and_all_else_is_its_effect(fault: str):
+    feeder = run_with({fault: "area2"})
+    (cause,) = feeder.find_causes()
+    assert str(cause).startswith(words_of(fault, "area2"))
+    poor = [area.name for area in feeder.watcher.look(SEEN_AT_S).areas if area.quality != "good"]
+    itself = {"gone": ("area2",), "router": cause.areas}.get(cause.kind, ())
+    assert [effect.split()[0] for effect in cause.effects] == [name for name in poor if name not in itself]
+
+
+@pytest.mark.parametrize("faults", [*CERTAIN, *further(*(pair for pair in PAIRS if pair not in CERTAIN))])
+def test_of_two_faults_both_are_named_and_nothing_else(faults: tuple[str, str]):
+    one, other = faults
+    causes = run_with({one: "area2", other: "area3"}).find_causes()
+    expected = sorted([(one, "area2"), (other, "area3")], key=lambda pair: KINDS.index(FAULTS[pair[0]].kind))
+    assert [cause.kind for cause in causes] == [FAULTS[fault].kind for fault, _ in expected]
+    assert all(str(cause).startswith(words_of(*pair)) for cause, pair in zip(causes, expected, strict=True))
+
+
+@pytest.mark.parametrize("fault", [*FAULTS][:-1])
+def test_a_dead_router_hides_what_else_is_wrong_and_is_named_alone(fault: str):
+    (cause,) = run_with({fault: "area2", "router dead": "area3"}).find_causes()
+    assert str(cause).startswith(words_of("router dead", "area3"))
+
+
+def test_an_area_that_was_gone_before_the_router_is_named_beside_it():
+    feeder = Feeder({})
+    feeder.bus.run(4.0)
+    feeder.bus.kill("area2")
+    feeder.bus.run(6.0)
+    feeder.bus.stop_router()
+    feeder.bus.run(6.0)
+    assert [(cause.kind, cause.areas) for cause in feeder.find_causes()] == [
+        ("router", ("area1", "area3")),
+        ("gone", ("area2",)),
+    ]
+
+
+def test_a_watcher_without_link_says_so_and_nothing_of_the_areas():
+    feeder = run_with({})
+    feeder.watcher.is_linked = False
+    assert [cause.kind for cause in feeder.find_causes()] == ["router"]
+
+
+def test_nobody_is_there_before_the_first_agent():
+    assert [str(cause) for cause in find_causes(View("run", (), ()), 0.0)] == ["no area is there: start the agents"]
+
+
+def test_areas_that_disagree_although_both_call_themselves_good_are_named():
+    lie = {"from": "area1", "to": "area2", "lie": {"va_deg": 0.5, "both_ways": True}}
+    feeder = Feeder({"faults.link": [lie]})
+    feeder.bus.run(SEEN_AT_S)
+    assert {area.quality for area in feeder.watcher.look(SEEN_AT_S).areas} == {"good"}
+    (cause,) = feeder.find_causes()
+    assert cause.what == "area1 and area2 disagree at bus 6 by 0.5 deg"
+    assert (cause.areas, cause.buses) == (("area1", "area2"), (6,))
+
+
+def test_an_area_that_disagrees_with_several_is_the_liar():
+    lies = [{"from": "area1", "to": name, "lie": {"vm_pu": 0.02}} for name in ("area2", "area3")]
+    feeder = Feeder({"faults.link": lies})
+    feeder.bus.run(SEEN_AT_S)
+    cause, *others = feeder.find_causes()
+    assert [other.kind for other in others] == ["bad data"]  # a good meter of area3, which the lie contradicts
+    assert cause.what.startswith("area1 disagrees with area2, area3 at bus 6 by 0.0")
+
+
+def test_the_clock_that_several_find_wrong_is_the_wrong_one_and_of_two_alone_either():
+    def clocks_of(skews: dict[str, str]) -> list[str]:
+        watcher = Watcher("run")
+        for name, notes in skews.items():
+            state = published_by(name, Incarnation(1, 1), notes=(notes,) if notes else (), quality="degraded")
+            watcher.take_presence(f"dsse/v3/run/live/area/{name}/1-00000001", True)
+            watcher.take_state(state, 0.0)
+        return [cause.what for cause in find_causes(watcher.look(0.0), 0.0)]
+
+    note = "the clock of {} is 3 s {} that of this area; set the wrong one"
+    of_all = {"area1": note.format("area2", "ahead of"), "area3": note.format("area2", "ahead of")}
+    assert clocks_of(of_all) == ["the clock of area2 is 3 s ahead"]
+    assert clocks_of({"area1": note.format("area2", "behind"), "area2": note.format("area1", "ahead of")}) == [
+        "the clocks of area1 and area2 differ by 3 s"
+    ]
+    assert clocks_of({"area1": note.format("plant", "behind"), "area2": note.format("plant", "behind")}) == [
+        "the clock of plant is 3 s behind"
+    ]
+
+
+def test_the_time_of_a_cause_is_known_only_where_it_was_not_there_before():
+    feeder = run_with({"bad meter": "area2"})
+    late = Watcher("sim")
+    for area, state in feeder.watcher.states.items():
+        late.take_presence(f"dsse/v3/sim/live/area/{area}/1-00000001", True)
+        late.take_state(state, 0.0)
+    assert [cause.since for cause in feeder.find_causes()] != [None]
+    assert [cause.since for cause in find_causes(late.look(0.0), 0.0)] == [None]
+
+
+def test_every_note_that_names_a_cause_is_read():
+    new, old = SplitIdentity("2" * 16, 2e9), SplitIdentity("1" * 16, 1e9)
+    findings = {
+        "clock": quality.find_skewed_clocks({"area2": Skew(3.0, 0.1)}),
+        "future": quality.find_rejected_clocks({"area2": 700.0}),
+        "contradiction": quality.find_contradictions({"area2": "base is 1 here and 2 there; correct one of them"}),
+        "file": quality.find_other_splits([SplitUse(new), SplitUse(old, ("area2",))], "area1"),
+        "map": quality.find_mistaken_gateways({"plant": "sign"}),
+        "impostor": quality.find_far_scans({"area2": 99}),
+        "unreadable": quality.find_unreadable_payloads({"area2": "z: not finite"}),
+    }
+    for kind, found in findings.items():
+        (finding,) = found
+        (noted,) = read_notes((finding.note,), (), None, 0.0)
+        assert (noted.kind, noted.parts["other"]) == (kind, "plant" if kind == "map" else "area2")
+
+
+def test_the_words_of_the_docs_are_those_of_the_code():
+    rows = re.findall(r"^\| `(?P<kind>[^`]+)` \| (?P<what>.*?) \| (?P<action>.*?) \|$", TABLE.read_text(), re.M)
+    assert rows[1:] == [(kind, *words) for kind, words in WORDS.items()]
