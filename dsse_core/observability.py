@@ -116,7 +116,7 @@ class NoLoadFit:
     """
 
     def __init__(self, A: sp.csr_array, order: np.ndarray | None = None) -> None:
-        self._A, self._pattern = A, AugmentedPattern(A, order)
+        self._A, self._pattern = A, AugmentedPattern(A, order=order)
         n_rows, n_free = A.shape
         for shift in SHIFTS:
             above, below = np.full(n_rows, TABLEAU_SCALE), np.full(n_free, -shift)

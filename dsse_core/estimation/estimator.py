@@ -28,7 +28,7 @@ from dsse_core.grid.measurement import Measurement, are_usable, check_measuremen
 from dsse_core.grid.meter_table import find_virtual, read_meters_of
 from dsse_core.grid.network import Network
 from dsse_core.linear.area_measurements import NO_ROWS
-from dsse_core.linear.rows import TableauSolver
+from dsse_core.linear.whole_grid import GridSolver
 from dsse_core.row_threads import find_threads
 
 SMALL_STEP = 0.02  # p.u. and rad; after a smaller one the last factor may serve once more
@@ -189,7 +189,7 @@ class WholeGrid:
 
     def __init__(
         self,
-        linear: TableauSolver,
+        linear: GridSolver,
         values: np.ndarray,
         sigmas: np.ndarray,
         start: tuple[np.ndarray, np.ndarray] | None,

@@ -15,7 +15,7 @@ from dsse_core.grid.measurement import Meter
 from dsse_core.grid.meter_table import find_virtual
 from dsse_core.grid.network import Network
 from dsse_core.linear.area_model import build_whole_grid
-from dsse_core.linear.rows import TableauSolver
+from dsse_core.linear.whole_grid import GridSolver
 from dsse_core.observability import find_indispensable_rows, find_reference
 from dsse_core.radial.plan import RadialPlan, build_radial_plan, drop_meters
 
@@ -46,7 +46,7 @@ class EstimationPlan:
         return "sparse" if isinstance(self.radial, str) else "radial"
 
     @cached_property
-    def sparse(self) -> TableauSolver:
+    def sparse(self) -> GridSolver:
         """The grid as one area on sparse matrices; where the back end is radial, for what that does not compute."""
         return build_whole_grid(self.network, self.meters, self.reference)
 

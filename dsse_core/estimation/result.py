@@ -13,7 +13,7 @@ from dsse_core.estimation.plan import Backend, EstimationPlan
 from dsse_core.estimation.radial import RadialInverse, find_radial_variances, invert_radial
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.network import Network
-from dsse_core.linear.rows import TableauSolver
+from dsse_core.linear.whole_grid import GridSolver
 
 
 @dataclass(frozen=True, repr=False)
@@ -72,7 +72,7 @@ class EstimationResult:
         return np.concatenate([self.va, self.vm])
 
     @cached_property
-    def linear(self) -> TableauSolver:
+    def linear(self) -> GridSolver:
         """The grid as one area on sparse matrices, with these readings."""
         return self.plan.sparse.with_values(self.values, self.sigmas)
 

@@ -28,10 +28,8 @@ class AreaMeasurements:
 
     ``free``: the variables that are unknown, all but a reference angle. ``backend``: see ``linear.choose_backend``.
     ``method``: the weights that follow from residuals and sigmas. ``further``: rows beside those of the meters, such
-    as voltages that count as read where neighbours or readings are missing.
-
-    ``flat``: x of the flat start of a whole grid whose meters determine its state. There nothing is damped, and virtual
-    measurements hold exactly. ``held_back``: rows of measurements that do not count yet.
+    as voltages that count as read where neighbours or readings are missing. ``held_back``: rows of measurements that
+    do not count yet.
     """
 
     area: Area
@@ -46,7 +44,6 @@ class AreaMeasurements:
     backend: Backend = "auto"
     method: Method = least_squares
     further: tuple[FurtherRows, ...] = ()
-    flat: np.ndarray | None = None
     held_back: np.ndarray = field(default_factory=lambda: NO_ROWS)
 
     def with_values(self, z: np.ndarray, sigma: np.ndarray, **changed: object) -> Self:

@@ -18,8 +18,7 @@ from dsse_core.linear import Backend, LinearArea, Matrix, Rows, make_linear, mak
 from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import EXACT_SIGMA
 from dsse_core.linear.contributions import FurtherRows
-from dsse_core.linear.rows import TableauSolver
-from dsse_core.linear.sparse import SparseRows
+from dsse_core.linear.whole_grid import GridSolver
 
 INJECTION = {Kind.P: MeasurementKind.P_INJECTION, Kind.Q: MeasurementKind.Q_INJECTION}
 
@@ -117,7 +116,7 @@ def build_area_model(
     )
 
 
-def build_whole_grid(network: Network, meters: Sequence[Meter], reference: int) -> TableauSolver:
+def build_whole_grid(network: Network, meters: Sequence[Meter], reference: int) -> GridSolver:
     """Numerics of a grid as one area without neighbours, whose ``meters`` fit the network and determine its state."""
     admittance = build_admittance(network)
     vm, va = flat_start(network, reference)
@@ -133,9 +132,8 @@ def build_whole_grid(network: Network, meters: Sequence[Meter], reference: int) 
         free=np.delete(np.arange(len(flat)), network.row[reference]),
         meters=meters,
         reference=reference,
-        flat=flat,
     )
-    return TableauSolver(model, SparseRows(model), "sparse")
+    return GridSolver(model, flat)
 
 
 def _values_of(measurements: Sequence[Measurement]) -> np.ndarray:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse as sp
 
 from dsse_core.grid.boundary import Boundary
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.area_measurements import AreaMeasurements
-from dsse_core.linear.boundary_information import BoundaryInformation
+from dsse_core.linear.boundary_information import ROUNDING, BoundaryInformation
 from dsse_core.linear.dense import DenseRows
-from dsse_core.linear.interface import Matrix, Received
+from dsse_core.linear.interface import Received
 from dsse_core.linear.reduced import ReducedSolver
 from dsse_core.linear.rows import RowSolver, TableauSolver
 from dsse_core.linear.sparse import SparseRows
-from dsse_core.matrices.augmented import AugmentedFactor
+from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
 
 NO_LOAD_NOT_YET = 1e-18  # information given to undetermined variables, in units of the meters'
 
@@ -53,9 +54,10 @@ class NoLoadSolver(_AtNoLoad, TableauSolver):
             self._by_reflections = NoLoadReflections(self.model, DenseRows(self.model), self.name)
         return self._by_reflections.information(x, neighbour, received)
 
-    def factor(self, H: Matrix, sigma: np.ndarray, columns: np.ndarray) -> AugmentedFactor:
+    def factor(self, H: sp.csr_array, sigma: np.ndarray, columns: np.ndarray) -> AugmentedFactor:
         """Factor without rounding in H, by which an angle meter would seem to measure a magnitude."""
-        return self.rows.factor(self.rows.without_rounding(H[:, columns]), sigma, self.least_information(columns))
+        exact = _without_rounding(H[:, columns])
+        return AugmentedFactor(exact, sigma, self.least_information(columns), AugmentedPattern(exact, careful=True))
 
 
 class NoLoadReflections(_AtNoLoad, ReducedSolver):
@@ -64,3 +66,11 @@ class NoLoadReflections(_AtNoLoad, ReducedSolver):
     def tied_sigma(self, boundary: Boundary) -> float:
         """Sigma of rows that tie powers to voltages: EXACT_SIGMA in units of the sigma of power meters."""
         return self.sigma_of_power
+
+
+def _without_rounding(H: sp.csr_array) -> sp.csr_array:
+    """H with entries of 0 where a derivative is only rounding."""
+    row = np.repeat(np.arange(H.shape[0]), np.diff(H.indptr))
+    size, largest = abs(H.data), np.zeros(H.shape[0])
+    np.maximum.at(largest, row, size)
+    return sp.csr_array((np.where(size > ROUNDING * largest[row], H.data, 0.0), H.indices, H.indptr), shape=H.shape)

@@ -10,9 +10,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.grid.boundary import Kind
-from dsse_core.grid.measurement_model import MeasurementModel
 from dsse_core.grid.partition import Neighbour
-from dsse_core.linear.area_measurements import NO_ROWS, AreaMeasurements
+from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import (
     NOTHING_OF_VOLTAGE,
     BoundaryInformation,
@@ -21,8 +20,8 @@ from dsse_core.linear.boundary_information import (
     put_together,
 )
 from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, LinearArea, Matrix, Received, Rows
-from dsse_core.linear.sparse import SparseRows, order_of
-from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
+from dsse_core.linear.sparse import SparseRows
+from dsse_core.matrices.augmented import AugmentedFactor
 
 MOST_TURNS = 4  # axes of (p, q) that are tried, the first ones included
 
@@ -61,154 +60,40 @@ class RowSolver(LinearArea):
 
 
 class TableauSolver(RowSolver):
-    """Solver by sparse factors of the augmented system, on ``SparseRows``.
-
-    Where the meters of a whole grid determine its state, steps near the end are solved on the last factor, and compiled
-    factors take the pivots of the flat start.
-    """
+    """Solver by sparse factors of the augmented system, on ``SparseRows``."""
 
     rows: SparseRows
 
     nothing_of_voltage = NOTHING_OF_VOLTAGE
 
-    def __init__(self, model: AreaMeasurements, rows: SparseRows, name: str) -> None:
-        super().__init__(model, rows, name)
-        self._last: tuple[AugmentedFactor, np.ndarray] | None = None  # factor of the last step, and s of its solution
-        self._found: tuple[bytes, AugmentedFactor] | None = None  # x, and its factor for variances and covariances
-
-    def with_readings(self, model: AreaMeasurements) -> Self:
-        other = super().with_readings(model)
-        other._last = other._found = None
-        return other
-
-    def with_values(self, z: np.ndarray, sigma: np.ndarray, held_back: np.ndarray = NO_ROWS) -> Self:
-        """Solver for other readings of the same meters, with no memory of a last step."""
-        other = self.with_readings(self.model.with_values(z, sigma, held_back=held_back))
-        other.rows = self.rows.copy()
-        return other
-
-    @property
-    def flat(self) -> np.ndarray:
-        """x of the flat start of a whole grid."""
-        assert self.model.flat is not None
-        return self.model.flat
-
-    @property
-    def is_compiled(self) -> bool:
-        """True where elimination is compiled."""
-        return self.rows.is_compiled
-
-    def least_information(self, columns: np.ndarray) -> np.ndarray:
-        return super().least_information(columns) if self.model.flat is None else np.zeros(len(columns))
-
     def stack(self, x: np.ndarray, received: Received) -> tuple[sp.csr_array, np.ndarray, np.ndarray]:
         self.rows.jacobian(x)  # which finds h(x) in passing
         H, r, sigma = super().stack(x, received)
-        H = cast("sp.csr_array", H)
-        return (without_rows(H, self.model.held_back) if self.model.held_back.size else H), r, sigma
+        return cast("sp.csr_array", H), r, sigma
 
     def prepare(self, x: np.ndarray) -> None:
         self.rows.jacobian(x)
 
-    def step(self, x: np.ndarray, received: Received, damping: float = 0.0, *, nearby: bool = False) -> np.ndarray:
-        """See ``LinearArea``; ``nearby``: the last step was so small that its factor may serve once more."""
+    def step(self, x: np.ndarray, received: Received, damping: float = 0.0) -> np.ndarray:
         H, r, sigma = self.stack(x, received)
-        free, found = self.model.free, None
-        if nearby and self._last is not None:
-            factor, s = self._last
-            found = factor.solve_nearby(self.rows.structure(H, free).take(H), r, s)
-        if found is None:
-            least = self.least_information(free)
-            factor = self._factor_at(x, H, sigma, np.maximum(least, damping) if damping else least)
-            found = factor.solve(r, np.zeros(len(free)))
-        if self.model.flat is not None:
-            self._last = factor, found[0]
-        dx = np.zeros(self.model.size)
-        dx[free] = found[1]
+        free, dx = self.model.free, np.zeros(self.model.size)
+        least = np.maximum(self.least_information(free), damping)
+        dx[free] = self.rows.factor(H, sigma, least, free).solve(r, np.zeros(len(free)))[1]
         return dx
 
-    def _factor_at(self, x: np.ndarray, H: sp.csr_array, sigma: np.ndarray, least: np.ndarray) -> AugmentedFactor:
-        """Factor of the rows H at x in the columns ``free``; at the flat start that which is kept.
-
-        Compiled factors use the pivots of the flat start for these sigmas if they serve, never those of an estimate
-        before: the same readings have the same estimate, to the bit.
-        """
-        model, rows, free = self.model, self.rows, self.model.free
-        is_flat = x is model.flat and len(model.held_back) == len(model.currents)
-        if model.flat is None or not (is_flat or rows.is_compiled):
-            return rows.factor(H, sigma, least, free)
-        key, kept = sigma.tobytes(), rows.kept.at_flat
-        if (found := kept.get(key)) is None:
-            H_flat = H if is_flat else without_rows(rows.jacobian(model.flat), model.currents)
-            found = rows.factor(H_flat, sigma, least, free)
-            kept.clear()
-            kept[key] = found
-        return found if is_flat else rows.factor(H, sigma, least, free, found)
-
     def variances(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, np.ndarray]:
-        factor = self._factor_of(x, received)
-        return self._variance_of_state(factor), self._variance_of_residuals(factor, x)
-
-    def variance_of_state(self, x: np.ndarray) -> np.ndarray:
-        """diag(G^-1) of a whole grid, shape (size,), see ``variances``; nan where it would take too long."""
-        return self._variance_of_state(self._factor_of(x, {}))
-
-    def variance_of_residuals(self, x: np.ndarray) -> np.ndarray:
-        """diag(Omega) of a whole grid, shape (n_meas,), see ``variances``.
-
-        Where loops are so many and long that all would take too long, only those of the largest |r| / sigma are found,
-        and the others are nan.
-        """
-        return self._variance_of_residuals(self._factor_of(x, {}), x)
-
-    def _variance_of_state(self, factor: AugmentedFactor) -> np.ndarray:
-        of_state = np.zeros(self.model.size)
-        of_state[self.model.free] = factor.state_variance(limited=self.model.flat is not None)
-        return of_state
-
-    def _variance_of_residuals(self, factor: AugmentedFactor, x: np.ndarray) -> np.ndarray:
-        model, wanted = self.model, None
-        if model.flat is not None:
-            r = abs(model.residual_of(self.rows.predict(x)))
-            wanted = np.argsort(-np.divide(r, model.sigma, out=np.zeros(len(r)), where=~model.virtual), kind="stable")
-        return model.real_part(factor.residual_variance(wanted)[: len(model.z)])
+        factor, of_state = self._factor_of(x, received), np.zeros(self.model.size)
+        of_state[self.model.free] = factor.state_variance()
+        return of_state, self.model.real_part(factor.residual_variance()[: len(self.model.z)])
 
     def covariance(self, x: np.ndarray, received: Received, B: np.ndarray) -> np.ndarray:
         B = B[:, self.model.free]
         return np.asarray(B @ self._factor_of(x, received).covariance_times(B.T))
 
     def _factor_of(self, x: np.ndarray, received: Received) -> AugmentedFactor:
-        """Factor of all that is known of the state x; without messages found once for variances and covariances."""
-        at = x.tobytes()
-        if self._found is None or self._found[0] != at or received:
-            H, _, sigma = self.stack(x, received)
-            factor = self._factor_at(x, H, sigma, self.least_information(self.model.free))
-            if received:
-                return factor
-            self._found = at, factor
-        return self._found[1]
-
-    def factor_with(self, x: np.ndarray, received: Received, read: MeasurementModel) -> AugmentedFactor:
-        """Factor with the readings of perfect meters as further variables, after those in ``free``.
-
-        A reading y = h(x) joins the tableau with the constraint ``H_y dx - dy = 0``. Elimination then finds its
-        variance as that of a voltage, and not as a difference of large numbers. The other factors that are kept are
-        dropped, as this one needs more memory than they.
-        """
-        self._last = self._found = None
-        self.rows.kept.at_flat.clear()
+        """Factor of all that is known of the state x."""
         H, _, sigma = self.stack(x, received)
-        free, n_read = self.model.free, len(read.kinds)
-        known, of_x = H[:, free], read.jacobian(x[: 2 * len(self.model.area.network.buses)])
-        of_x.resize(n_read, self.model.size)
-        of_y = sp.eye_array(H.shape[0] + n_read, n_read, k=-H.shape[0])
-        both = sp.csr_array(sp.hstack([sp.vstack([known, of_x[:, free]]), -of_y], format="csr"))
-        others = known[len(self.model.z) :] if H.shape[0] > len(self.model.z) else None
-        order, pattern = order_of(self.model, free, others, read), None
-        if order.blocks is not None:  # with loops minimum degree of the whole tableau fills in less
-            pattern = AugmentedPattern(both, order.rows, blocks=order.blocks)
-        least = np.concatenate([self.least_information(free), np.zeros(n_read)])
-        return AugmentedFactor(both, np.concatenate([sigma, np.zeros(n_read)]), least, pattern)
+        return self.factor(H, sigma, self.model.free)
 
     def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
         """Information for ``neighbour``: every variable but y eliminated, the neighbour's own message left out.
@@ -237,18 +122,9 @@ class TableauSolver(RowSolver):
         P = factor_inverse(S)
         return put_together(y, P @ W.T, P @ (A.T @ B - W.T @ dp), P @ (A.T @ r), (N, z_of_voltage))
 
-    def factor(self, H: Matrix, sigma: np.ndarray, columns: np.ndarray) -> AugmentedFactor:
+    def factor(self, H: sp.csr_array, sigma: np.ndarray, columns: np.ndarray) -> AugmentedFactor:
         """Factor of the ``columns`` of H, with the damping of ``least_information``."""
         return self.rows.factor(H, sigma, self.least_information(columns), columns)
-
-
-def without_rows(H: sp.csr_array, rows: np.ndarray) -> sp.csr_array:
-    """H of the same pattern, with entries of 0 in some ``rows``."""
-    found = copy.copy(H)
-    found.data = H.data.copy()
-    for row in rows.tolist():
-        found.data[H.indptr[row] : H.indptr[row + 1]] = 0.0
-    return found
 
 
 def _find_power(

@@ -6,7 +6,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import cast
+from typing import Self, cast
 
 import numpy as np
 import scipy.sparse as sp
@@ -15,42 +15,8 @@ from dsse_core.grid.measurement_model import MeasurementModel
 from dsse_core.grid.partition import Neighbour
 from dsse_core.grid.radial_order import TableauOrder, find_tree, order_tableau
 from dsse_core.linear.area_measurements import NO_ROWS, AreaMeasurements
-from dsse_core.linear.boundary_information import ROUNDING
 from dsse_core.linear.interface import Matrix, Received, Rows
 from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
-
-
-class Structure:
-    """Rows of one pattern in some ``columns``, and the order in which their tableau is eliminated."""
-
-    def __init__(self, area: AreaMeasurements, H: sp.csr_array, columns: np.ndarray) -> None:
-        self.columns, self._indices, self._indptr = columns, H.indices, H.indptr
-        place = np.full(H.shape[1], -1)
-        place[columns] = np.arange(len(columns))
-        self.entries = np.flatnonzero(place[H.indices] >= 0)
-        indices, indptr = place[H.indices[self.entries]], np.searchsorted(self.entries, H.indptr)
-        self._empty = sp.csr_array((H.data[self.entries], indices, indptr), shape=(H.shape[0], len(columns)))
-        others = self._empty[len(area.model.kinds) :] if H.shape[0] > len(area.model.kinds) else None
-        careful = area.flat is None
-        if careful and isinstance(find_tree(area.area.network, area.area.entry_bus), str):
-            self.pattern = AugmentedPattern(self._empty, careful=True)  # in the order of SuperLU
-        else:
-            order = order_of(area, columns, others)
-            self.pattern = AugmentedPattern(
-                self._empty, order.rows, fills_in=order.fills_in, careful=careful, blocks=order.blocks
-            )
-
-    def fits(self, H: sp.csr_array) -> bool:
-        """True where H has this pattern."""
-        if H.indices is self._indices and H.indptr is self._indptr:
-            return True
-        return np.array_equal(H.indptr, self._indptr) and np.array_equal(H.indices, self._indices)
-
-    def take(self, H: sp.csr_array) -> sp.csr_array:
-        """The columns of H."""
-        taken = copy.copy(self._empty)  # a new one would have its indices checked each time
-        taken.data = H.data.take(self.entries)
-        return taken
 
 
 def order_of(
@@ -64,15 +30,12 @@ def order_of(
 
 @dataclass
 class Kept:
-    """Parts that models of the same meters share: a structure for each set of columns; the first H, and the order of
-    its entries after those of the meters and of powers; h and H at the flat start, and the factor there for the last
-    sigmas, which most meters keep from scan to scan.
+    """Parts that models of the same meters share: the pattern of the tableau for each set of columns; the first H, and
+    the order of its entries after those of the meters and of powers.
     """
 
-    structures: dict[int, Structure] = field(default_factory=dict)
+    patterns: dict[int, AugmentedPattern] = field(default_factory=dict)
     first: tuple[sp.csr_array, np.ndarray] | None = None
-    flat: tuple[np.ndarray, sp.csr_array] | None = None
-    at_flat: dict[bytes, AugmentedFactor] = field(default_factory=dict)
 
 
 class SparseRows(Rows):
@@ -81,38 +44,35 @@ class SparseRows(Rows):
     def __init__(self, area: AreaMeasurements) -> None:
         self._area = area
         self._n = len(area.area.network.buses)
-        self.kept = Kept()
+        self._kept = Kept()
         self._at = self._voltages_at = b""  # of the numbers that are kept: steps, messages and variances ask in turn
         self._h: np.ndarray | None = None
         self._own: np.ndarray | None = None  # h of the voltages alone
         self._H: sp.csr_array | None = None
         self._boundaries: dict[str, tuple[np.ndarray, sp.csr_array]] = {}
 
-    def copy(self) -> SparseRows:
+    def copy(self) -> Self:
         """Rows that share what is kept, but no state: threads share a plan."""
-        other = copy.copy(self)
-        other.__dict__.update(is_compiled=self.is_compiled)
-        return other
+        return copy.copy(self)
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """See ``Rows``; the caller must not change the array."""
         self._move_to(x)
         if self._own is None:
-            model, voltages = self._area.model, x[: 2 * self._n]
-            self._own = (
-                model.linearize_compiled(voltages, with_H=False)[0] if self.is_compiled else model.predict(voltages)
-            )
+            self._own = self._predict(x[: 2 * self._n])
         if self._h is None:
             powers = x[2 * self._n :]
             self._h = np.asarray(self._own + self._area.into_children @ powers) if len(powers) else self._own
         return self._h
 
+    def _predict(self, voltages: np.ndarray) -> np.ndarray:
+        return self._area.model.predict(voltages)
+
     def jacobian(self, x: np.ndarray) -> sp.csr_array:
         """See ``Rows``; the caller must not change the array. Finds h(x) in passing."""
         self._move_to(x)
         if self._H is None:
-            at_flat = x is self._area.flat
-            self._own, self._H = self._linearize_at_flat() if at_flat else self._linearize(x[: 2 * self._n])
+            self._own, self._H = self._linearize(x)
         return self._H
 
     def _move_to(self, x: np.ndarray) -> None:
@@ -122,12 +82,11 @@ class SparseRows(Rows):
             self._own = self._H = None
         self._at, self._voltages_at, self._h, self._boundaries = at, voltages_at, None, {}
 
-    def _linearize(self, voltages: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
-        if self.is_compiled:
-            h, data = self._area.model.linearize_compiled(voltages)
-        else:
-            h, data = self._area.model.linearize_entries(voltages)
-        first, order = self.kept.first or self._find_first(voltages)
+    def _linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
+        """h of the voltages alone, and H."""
+        voltages = x[: 2 * self._n]
+        h, data = self._find_entries(voltages)
+        first, order = self._kept.first or self._find_first(voltages)
         H = copy.copy(first)  # a new one would have its indices checked each time
         H.data = np.concatenate([data, self._area.into_children.data])[order] if len(order) else data
         return h, H
@@ -140,29 +99,28 @@ class SparseRows(Rows):
             numbers[0].data, numbers[1].data = np.split(np.arange(H.nnz + into_children.nnz), [H.nnz])
             H = sp.csr_array(sp.hstack(numbers, format="csr"))
             order = H.data
-        self.kept.first = H, order
-        return self.kept.first
+        self._kept.first = H, order
+        return self._kept.first
 
-    def _linearize_at_flat(self) -> tuple[np.ndarray, sp.csr_array]:
-        if self.kept.flat is None:
-            assert self._area.flat is not None
-            H, _ = self._find_first(self._area.flat)
-            self.kept.flat = self._area.model.predict(self._area.flat), H
-        return self.kept.flat
+    def _find_entries(self, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self._area.model.linearize_entries(voltages)
 
-    @cached_property
-    def is_compiled(self) -> bool:
-        """True where elimination is compiled, as it may be for a whole grid."""
-        area = self._area
-        return area.flat is not None and self.structure(self._linearize_at_flat()[1], area.free).pattern.is_compiled
-
-    def structure(self, H: sp.csr_array, columns: np.ndarray) -> Structure:
-        """Structure of the ``columns`` of H, all rows of the area; the last one of the same columns is kept."""
+    def pattern(self, H: sp.csr_array, columns: np.ndarray) -> AugmentedPattern:
+        """Pattern of the tableau for the ``columns`` of H, all rows of the area; the last one of them is kept."""
         key = id(columns)  # sets of columns are kept by the area
-        found = self.kept.structures.get(key)
+        found = self._kept.patterns.get(key)
         if found is None or found.columns is not columns or not found.fits(H):
-            self.kept.structures[key] = found = Structure(self._area, H, columns)
+            n_own = len(self._area.model.kinds)
+            others = H[n_own:, columns] if H.shape[0] > n_own else None
+            self._kept.patterns[key] = found = self._find_pattern(H, columns, others)
         return found
+
+    def _find_pattern(self, H: sp.csr_array, columns: np.ndarray, others: sp.csr_array | None) -> AugmentedPattern:
+        """Pattern with the order of elimination of a tree, or that of SuperLU; pivots are the largest."""
+        if isinstance(find_tree(self._area.area.network, self._area.area.entry_bus), str):
+            return AugmentedPattern(H, columns, careful=True)
+        order = order_of(self._area, columns, others)
+        return AugmentedPattern(H, columns, order=order.rows, careful=True, blocks=order.blocks)
 
     def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, sp.csr_array]:
         """See ``Rows``; the caller must not change the array."""
@@ -243,32 +201,16 @@ class SparseRows(Rows):
     def join(self, parts: list[Matrix]) -> sp.csr_array:
         return sp.csr_array(sp.vstack(parts, format="csr"))
 
-    def without_rounding(self, H: Matrix) -> sp.csr_array:
-        """H with entries of 0 where a derivative is only rounding."""
-        H = cast("sp.csr_array", H)
-        row = np.repeat(np.arange(H.shape[0]), np.diff(H.indptr))
-        size = abs(H.data)
-        largest = np.zeros(H.shape[0])
-        np.maximum.at(largest, row, size)
-        return sp.csr_array((np.where(size > ROUNDING * largest[row], H.data, 0.0), H.indices, H.indptr), shape=H.shape)
-
     def factor(
         self,
-        H: Matrix,
+        H: sp.csr_array,
         sigma: np.ndarray,
-        damping: float | np.ndarray,
-        columns: np.ndarray | None = None,
+        damping: np.ndarray,
+        columns: np.ndarray,
         nearby: AugmentedFactor | None = None,
     ) -> AugmentedFactor:
-        """Factor of the augmented system of H, or of some ``columns`` of it, whose structure is kept.
-
-        ``nearby``: a factor whose pivots may serve.
-        """
-        H = cast("sp.csr_array", H)
-        if columns is None:
-            return AugmentedFactor(H, sigma, damping, AugmentedPattern(H, careful=True))
-        structure = self.structure(H, columns)
-        return AugmentedFactor(structure.take(H), sigma, damping, structure.pattern, nearby)
+        """Factor of the augmented system of some ``columns`` of H; ``nearby``: a factor whose pivots may serve."""
+        return AugmentedFactor(H, sigma, damping, self.pattern(H, columns), nearby)
 
     def full(self, C: Matrix) -> np.ndarray:
         return np.asarray(cast("sp.csr_array", C).toarray())

@@ -53,7 +53,8 @@ BLOCK = 256  # right-hand sides solved at once; bounds memory at (n_meas + n_sta
 class AugmentedPattern:
     """Places of the entries of the tableau, the same for all ``H`` with one pattern.
 
-    ``order`` (n_meas + n_state,): the tableau's rows in the order of elimination; SuperLU's COLAMD without it.
+    ``columns`` (n_state,): the columns of H whose variables are unknown; all without it. ``order`` (n_meas + n_state,):
+    the tableau's rows in the order of elimination; SuperLU's COLAMD without it.
     ``fills_in``: the factor in that order is fuller than the tableau. ``careful``: pivots are the largest, by SuperLU,
     so that no digit is lost, rather than those that fill in least. ``blocks`` (n_meas + n_state,): the block of each
     row in that order, where blocks make a tree. ``place`` (n_meas + n_state,): place of each row of the tableau in that
@@ -63,25 +64,39 @@ class AugmentedPattern:
     def __init__(
         self,
         H: sp.csr_array,
-        order: np.ndarray | None = None,
+        columns: np.ndarray | None = None,
         *,
+        order: np.ndarray | None = None,
         fills_in: bool = False,
         careful: bool = False,
         blocks: np.ndarray | None = None,
     ) -> None:
         self.order, self.fills_in, self._careful, self._blocks = order, fills_in, careful, blocks
-        self.row, self.column = _row_of_entries(H), H.indices.astype(np.int32, copy=False)  # SciPy's types vary
-        self._size = sum(H.shape)
+        self.columns = np.arange(H.shape[1]) if columns is None else columns
+        self._indices, self._indptr = H.indices, H.indptr
+        self._size = H.shape[0] + len(self.columns)
+        of_column = np.full(H.shape[1], -1, dtype=np.int32)
+        of_column[self.columns] = np.arange(len(self.columns))
+        self.row, self.column = _row_of_entries(H), of_column[H.indices]
+        self.known, unknown = np.flatnonzero(self.column < 0), np.flatnonzero(self.column >= 0)  # entries by columns
+        self.column[self.known] = 0  # any number
         self.place = place = np.arange(self._size)
         if order is not None:
             place[order] = np.arange(self._size)
-        row, column = place[self.row], place[H.shape[0] + self.column]
-        rows, columns = np.concatenate([place, row, column]), np.concatenate([place, column, row])
+        row, column = place[self.row[unknown]], place[H.shape[0] + self.column[unknown]]
+        at = np.concatenate([place, row, column]), np.concatenate([place, column, row])
+        number = np.concatenate([np.arange(self._size), self._size + unknown, self._size + H.nnz + unknown])
         shape = self._size, self._size
-        numbers = sp.csc_array((np.arange(len(rows)), (rows, columns)), shape=shape)  # no two in one place
+        numbers = sp.csc_array((number, at), shape=shape)  # no two in one place
         numbers.sort_indices()
-        self._gather, values = numbers.data, np.zeros(len(rows))
+        self._gather, values = numbers.data, np.zeros(len(number))
         self._empty = sp.csc_array((values, numbers.indices, numbers.indptr), shape=shape)
+
+    def fits(self, H: sp.csr_array) -> bool:
+        """True where H has this pattern."""
+        if H.indices is self._indices and H.indptr is self._indptr:
+            return True
+        return np.array_equal(H.indptr, self._indptr) and np.array_equal(H.indices, self._indices)
 
     @cached_property
     def is_compiled(self) -> bool:
@@ -152,7 +167,7 @@ class AugmentedPattern:
 
 
 class AugmentedFactor:
-    """The factorised system for ``H`` (n_meas, n_state) and ``sigma`` (n_meas,), 0 where a row must hold exactly.
+    """The factorised system for ``H`` (n_meas, n) and ``sigma`` (n_meas,), 0 where a row must hold exactly.
 
     ``damping``, a number or one per state variable, is added to the diagonal of the information about the state:
     the lower right block becomes ``-diag(damping)``. ``pattern``: pattern of H, if it is known already.
@@ -170,15 +185,18 @@ class AugmentedFactor:
         nearby: AugmentedFactor | None = None,
     ) -> None:
         self._pattern = pattern = pattern or AugmentedPattern(H)
-        self._n_meas, self.n_state = H.shape
+        self._n_meas, self.n_state = H.shape[0], len(pattern.columns)
         self.variance = sigma**2
-        row_scale = reciprocal_root(np.bincount(pattern.row, H.data**2, self._n_meas))
+        square = H.data**2
+        square[pattern.known] = 0.0
+        row_scale = reciprocal_root(np.bincount(pattern.row, square, self._n_meas))
         scaled_variance = self.variance * row_scale**2
         positive = scaled_variance[scaled_variance > 0]
         middle = positive.size // 2  # np.median takes three times as long
         self._a = PIVOT_SCALE / float(np.partition(positive, middle)[middle]) if positive.size else 1.0
-        data = H.data * row_scale[pattern.row]
-        column_scale = reciprocal_root(np.bincount(H.indices, data**2, self.n_state) + damping / self._a)
+        square *= (row_scale**2)[pattern.row]
+        of_columns = np.bincount(pattern.column, square, self.n_state)
+        column_scale = reciprocal_root(of_columns + damping / self._a)
         self._scale = np.concatenate([row_scale, column_scale])
         self._above = self._a * scaled_variance
         self._below = damping / self._a * column_scale**2

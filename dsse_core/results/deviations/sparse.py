@@ -19,9 +19,7 @@ INJECTIONS = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
 
 
 class SparseDeviations:
-    """Covariances at the state of ``result``: the factor of the tableau with the powers into branches, and injections
-    that have no meter, as further unknowns.
-    """
+    """Covariances at the state of ``result``, of the powers into branches, and of injections that have no meter."""
 
     def __init__(self, result: EstimationResult) -> None:
         network, n = result.network, len(result.vm)
@@ -29,12 +27,10 @@ class SparseDeviations:
         self._metered = _metered_injections(result)
         self._unmetered = np.argwhere(np.isnan(self._metered))
         read = build_measurement_model(network, build_admittance(network), _meters_of(network, self._unmetered))
-        self._factor = result.linear.factor_with(np.concatenate([result.va, result.vm]), {}, read)
-        position, free = np.full(2 * n, -1), result.linear.model.free
-        position[free] = np.arange(len(free))
-        self._of_vm = position[n:]
-        self._of_p = len(free) + np.arange(len(self._active))
-        self._first_injection = len(free) + 2 * len(self._active)
+        self._covariance = result.linear.read(np.concatenate([result.va, result.vm]), read)
+        self._of_vm = n + np.arange(n)
+        self._of_p = 2 * n + np.arange(len(self._active))
+        self._first_injection = 2 * n + 2 * len(self._active)
         self._rows_from = network.table.f
 
     def of_branches_and_injections(self) -> tuple[np.ndarray, np.ndarray]:
@@ -45,7 +41,7 @@ class SparseDeviations:
         y = self._of_p, self._of_p + n_active, self._of_vm[self._rows_from]
         pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
         of_injections = self._first_injection + np.arange(len(self._unmetered))
-        entries = self._factor.covariance_at(
+        entries = self._covariance.entries(
             np.concatenate([*(y[a] for a, _ in pairs), of_injections]),
             np.concatenate([*(y[b] for _, b in pairs), of_injections]),
         )
@@ -67,9 +63,9 @@ class SparseDeviations:
         columns[self._active] = np.stack([self._of_p, self._of_p + n_active, self._of_vm[self._rows_from]], axis=1)
         scale = np.ones(columns.shape)
         scale[self._active, 2] = 1 / vm[self._rows_from]
-        B = _select(by_ends, columns.ravel(), scale.ravel(), self._factor.n_state)
-        B += _select(by_buses, self._of_vm, 1 / vm, self._factor.n_state)
-        return self._factor.variance_of_sums(sp.csr_array(B))
+        n = self._first_injection + len(self._unmetered)
+        B = _select(by_ends, columns.ravel(), scale.ravel(), n) + _select(by_buses, self._of_vm, 1 / vm, n)
+        return self._covariance.of_sums(sp.csr_array(B))
 
 
 def _select(by: sp.csr_array, columns: np.ndarray, scale: np.ndarray, n: int) -> sp.csr_array:

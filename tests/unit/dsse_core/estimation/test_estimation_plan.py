@@ -12,7 +12,7 @@ from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObse
 from dsse_core.estimation.estimator import estimate_state, estimate_with_plan
 from dsse_core.estimation.plan import FEWEST_BUSES_OF_RADIAL, build_estimation_plan
 from dsse_core.grid.measurement import MeasurementKind, Meter, Source
-from dsse_core.linear.rows import TableauSolver
+from dsse_core.linear.whole_grid import GridSolver
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 Kind = MeasurementKind
@@ -66,7 +66,7 @@ def test_a_start_that_leads_nowhere_gives_way_to_the_flat_start(case, scan, back
 def test_a_last_step_that_leads_nowhere_is_not_the_end_of_an_estimate(case, scan, monkeypatch, fails):
     plan = build_estimation_plan(case("ieee33"), [m.meter for m in scan(0)], backend="sparse")
     expected = estimate_with_plan(plan, *arrays(scan(1)))
-    step, calls = TableauSolver.step, []
+    step, calls = GridSolver.step, []
 
     def fail_once(linear, x, received, **options):
         calls.append(x)
@@ -74,7 +74,7 @@ def test_a_last_step_that_leads_nowhere_is_not_the_end_of_an_estimate(case, scan
             raise RuntimeError("singular")
         return step(linear, x, received, **options) * (math.nan if len(calls) == expected.iterations else 1.0)
 
-    monkeypatch.setattr(TableauSolver, "step", fail_once)
+    monkeypatch.setattr(GridSolver, "step", fail_once)
     found = estimate_with_plan(plan, *arrays(scan(1)))
     assert found.memory.from_flat_start
     np.testing.assert_array_equal(found.vm, expected.vm)

@@ -1,0 +1,187 @@
+"""Numerics of a whole grid: one area without neighbours, whose meters determine its state."""
+
+from __future__ import annotations
+
+import copy
+from typing import Self
+
+import numpy as np
+import scipy.sparse as sp
+
+from dsse_core.grid.measurement_model import MeasurementModel
+from dsse_core.linear.area_measurements import NO_ROWS, AreaMeasurements
+from dsse_core.linear.interface import Received
+from dsse_core.linear.rows import TableauSolver
+from dsse_core.linear.sparse import SparseRows, order_of
+from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
+
+
+class GridRows(SparseRows):
+    """Rows of a whole grid, found by compiled code where elimination is compiled; those at ``flat`` are kept.
+
+    ``flat``: x of the flat start. ``at_flat``: the factor there for the last sigmas, which most meters keep from scan
+    to scan.
+    """
+
+    def __init__(self, area: AreaMeasurements, flat: np.ndarray) -> None:
+        super().__init__(area)
+        self.flat, self.at_flat = flat, dict[bytes, AugmentedFactor]()
+        _, H = self._linearized_at_flat = area.model.linearize(flat)
+        self._kept.first = H, NO_ROWS
+        self.is_compiled = self.pattern(H, area.free).is_compiled
+
+    def _linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
+        return self._linearized_at_flat if x is self.flat else super()._linearize(x)
+
+    def _predict(self, voltages: np.ndarray) -> np.ndarray:
+        model = self._area.model
+        return model.linearize_compiled(voltages, with_H=False)[0] if self.is_compiled else model.predict(voltages)
+
+    def _find_entries(self, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        model = self._area.model
+        return model.linearize_compiled(voltages) if self.is_compiled else model.linearize_entries(voltages)
+
+    def _find_pattern(self, H: sp.csr_array, columns: np.ndarray, others: sp.csr_array | None) -> AugmentedPattern:
+        """Pattern with the order of the network's buses; pivots are those that fill in least."""
+        order = order_of(self._area, columns, others)
+        return AugmentedPattern(H, columns, order=order.rows, fills_in=order.fills_in, blocks=order.blocks)
+
+
+class GridSolver(TableauSolver):
+    """Solver of a whole grid: nothing is damped, and virtual measurements hold exactly.
+
+    Steps near the end are solved on the last factor, and compiled factors take the pivots of the flat start.
+    """
+
+    rows: GridRows
+
+    def __init__(self, model: AreaMeasurements, flat: np.ndarray) -> None:
+        super().__init__(model, GridRows(model, flat), "sparse")
+        self._last: tuple[AugmentedFactor, np.ndarray] | None = None  # factor of the last step, and s of its solution
+        self._found: tuple[bytes, AugmentedFactor] | None = None  # x, and its factor for variances and covariances
+
+    def with_values(self, z: np.ndarray, sigma: np.ndarray, held_back: np.ndarray = NO_ROWS) -> Self:
+        """Solver for other readings of the same meters but the rows ``held_back``, with no memory of a last step."""
+        other = self.with_readings(self.model.with_values(z, sigma, held_back=held_back))
+        other.rows, other._last, other._found = self.rows.copy(), None, None
+        return other
+
+    @property
+    def flat(self) -> np.ndarray:
+        """x of the flat start."""
+        return self.rows.flat
+
+    @property
+    def is_compiled(self) -> bool:
+        """True where elimination is compiled."""
+        return self.rows.is_compiled
+
+    def least_information(self, columns: np.ndarray) -> np.ndarray:
+        return np.zeros(len(columns))
+
+    def stack(self, x: np.ndarray, received: Received) -> tuple[sp.csr_array, np.ndarray, np.ndarray]:
+        H, r, sigma = super().stack(x, received)
+        return (_without_rows(H, self.model.held_back) if self.model.held_back.size else H), r, sigma
+
+    def step(self, x: np.ndarray, received: Received, damping: float = 0.0, *, nearby: bool = False) -> np.ndarray:
+        """See ``LinearArea``; ``nearby``: the last step was so small that its factor may serve once more."""
+        H, r, sigma = self.stack(x, received)
+        free, found = self.model.free, None
+        if nearby and self._last is not None:
+            factor, s = self._last
+            found = factor.solve_nearby(H, r, s)
+        if found is None:
+            factor = self._factor_at(x, H, sigma, np.full(len(free), damping))
+            found = factor.solve(r, np.zeros(len(free)))
+        self._last, dx = (factor, found[0]), np.zeros(self.model.size)
+        dx[free] = found[1]
+        return dx
+
+    def _factor_at(self, x: np.ndarray, H: sp.csr_array, sigma: np.ndarray, damping: np.ndarray) -> AugmentedFactor:
+        """Factor of the rows H at x in the columns ``free``; at the flat start that which is kept.
+
+        Compiled factors use the pivots of the flat start for these sigmas if they serve, never those of an estimate
+        before: the same readings have the same estimate, to the bit.
+        """
+        model, rows, free = self.model, self.rows, self.model.free
+        is_flat = x is rows.flat and len(model.held_back) == len(model.currents)
+        if not (is_flat or rows.is_compiled):
+            return rows.factor(H, sigma, damping, free)
+        key, kept = sigma.tobytes(), rows.at_flat
+        if (found := kept.get(key)) is None:
+            H_flat = H if is_flat else _without_rows(rows.jacobian(rows.flat), model.currents)
+            found = rows.factor(H_flat, sigma, damping, free)
+            _ = found.elimination  # before the memory of the former one goes back to the system: 15 % of an estimate
+            kept.clear()
+            kept[key] = found
+        return found if is_flat else rows.factor(H, sigma, damping, free, found)
+
+    def _factor_of(self, x: np.ndarray, received: Received) -> AugmentedFactor:
+        """Factor of all that is known of the state x, found once for variances and covariances."""
+        if self._found is None or self._found[0] != x.tobytes():
+            H, _, sigma = self.stack(x, received)
+            self._found = x.tobytes(), self._factor_at(x, H, sigma, self.least_information(self.model.free))
+        return self._found[1]
+
+    def variance_of_state(self, x: np.ndarray) -> np.ndarray:
+        """diag(G^-1), shape (size,); nan where it would take too long."""
+        of_state = np.zeros(self.model.size)
+        of_state[self.model.free] = self._factor_of(x, {}).state_variance(limited=True)
+        return of_state
+
+    def variance_of_residuals(self, x: np.ndarray) -> np.ndarray:
+        """diag(Omega), shape (n_meas,), 0 for virtual measurements.
+
+        Where loops are so many and long that all would take too long, only those of the largest |r| / sigma are found,
+        and the others are nan.
+        """
+        model = self.model
+        factor, r = self._factor_of(x, {}), abs(model.residual_of(self.rows.predict(x)))
+        wanted = np.argsort(-np.divide(r, model.sigma, out=np.zeros(len(r)), where=~model.virtual), kind="stable")
+        return model.real_part(factor.residual_variance(wanted))
+
+    def read(self, x: np.ndarray, read: MeasurementModel) -> JointCovariance:
+        """Covariance of the state and of the readings of perfect meters.
+
+        A reading y = h(x) joins the tableau with the constraint ``H_y dx - dy = 0``. Elimination then finds its
+        variance as that of a voltage, and not as a difference of large numbers. The other factors that are kept are
+        dropped, as this one needs more memory than they.
+        """
+        self._last = self._found = None
+        self.rows.at_flat.clear()
+        (H, _, sigma), free, n_read = self.stack(x, {}), self.model.free, len(read.kinds)
+        of_y = sp.eye_array(H.shape[0] + n_read, n_read, k=-H.shape[0])
+        both = sp.csr_array(sp.hstack([sp.vstack([H, read.jacobian(x)]), -of_y], format="csr"))
+        order, columns = order_of(self.model, free, None, read), np.append(free, self.model.size + np.arange(n_read))
+        pattern = AugmentedPattern(both, columns)
+        if order.blocks is not None:  # with loops minimum degree of the whole tableau fills in less
+            pattern = AugmentedPattern(both, columns, order=order.rows, blocks=order.blocks)
+        return JointCovariance(AugmentedFactor(both, np.append(sigma, np.zeros(n_read)), pattern=pattern), columns)
+
+
+class JointCovariance:
+    """Covariance of the state and of readings: of the variables [va; vm; readings], those in ``columns`` unknown."""
+
+    def __init__(self, factor: AugmentedFactor, columns: np.ndarray) -> None:
+        self._factor, self._columns = factor, columns
+
+    def entries(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Covariance of the variables a[k] and b[k], (k,); nan where it would take too long."""
+        place = np.full(self._columns[-1] + 1, -1)
+        place[self._columns] = np.arange(len(self._columns))
+        found, unknown = np.zeros(len(a)), np.flatnonzero((place[a] >= 0) & (place[b] >= 0))
+        found[unknown] = self._factor.covariance_at(place[a[unknown]], place[b[unknown]])
+        return found
+
+    def of_sums(self, B: sp.csr_array) -> np.ndarray:
+        """diag(B C B'), shape (k,), for ``B`` (k, n), C the covariance; nan where it would take too long."""
+        return self._factor.variance_of_sums(B[:, self._columns])
+
+
+def _without_rows(H: sp.csr_array, rows: np.ndarray) -> sp.csr_array:
+    """H of the same pattern, with entries of 0 in some ``rows``."""
+    found = copy.copy(H)
+    found.data = H.data.copy()
+    for row in rows.tolist():
+        found.data[H.indptr[row] : H.indptr[row + 1]] = 0.0
+    return found
