@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.estimation.state_limits import StateLimits
+from dsse_core.estimation.state_limits import OperatingLimits, StateLimits
 from dsse_core.files.strict_table import load_strict
 from dsse_core.files.wording import Suggestions, describe_unknown
 from dsse_core.grid.columns import Records, read_column, take_items
@@ -103,6 +103,7 @@ class Scenario:
     run: RunTable
     transport: TransportTable
     limits: StateLimits
+    operating_limits: OperatingLimits
     reading_rules: Mapping[str, ReadingRules]
     record: RecordTable | None = None
     changes: Mapping[str, object] = field(default_factory=dict)
@@ -341,7 +342,8 @@ def _build_scenario(
         tolerances=file.tolerances,
         run=file.run,
         transport=file.transport,
-        limits=StateLimits(**{key.removesuffix("_pu"): value for key, value in vars(file.quality).items()}),
+        limits=file.quality.of_estimate,
+        operating_limits=file.quality.of_operation,
         reading_rules=build_reading_rules(file, partition, meters),
         record=file.record,
     )

@@ -1,9 +1,10 @@
-"""Limits that an estimate must keep to be relied on; scenarios and agents share them."""
+"""Limits of an estimate that areas keep to, and limits of operation, by which pages, alarms and reports judge it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from dsse_core.estimation.residuals import THRESHOLD
 from dsse_core.limits import NotNegative, Positive, Probability
 
 
@@ -22,3 +23,20 @@ class StateLimits:
 
 
 DEFAULT_LIMITS = StateLimits()
+
+
+@dataclass(frozen=True, slots=True)
+class OperatingLimits:
+    """Limits of a grid in operation; what exceeds them is shown as a violation, and the estimate is as good as before.
+
+    Magnitudes in p.u., loading in percent of the rating.
+    """
+
+    lowest_vm: NotNegative = 0.9
+    highest_vm: Positive = 1.1
+    most_loading_percent: Positive = 100.0
+    most_residual: Positive = THRESHOLD
+    """Largest normalised residual of a meter in use."""
+
+
+DEFAULT_OPERATING_LIMITS = OperatingLimits()

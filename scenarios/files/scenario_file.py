@@ -7,7 +7,12 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, Tag, field_validator, model_validator
 
 from dsse_core.endpoints import find_endpoint_problem
-from dsse_core.estimation.state_limits import DEFAULT_LIMITS
+from dsse_core.estimation.state_limits import (
+    DEFAULT_LIMITS,
+    DEFAULT_OPERATING_LIMITS,
+    OperatingLimits,
+    StateLimits,
+)
 from dsse_core.files.kinds import SCENARIO_FILE, FileKind
 from dsse_core.files.quantities import Name, Version
 from dsse_core.files.shared_tables import AdmmTable, GenerationTable, require_a_band
@@ -312,17 +317,37 @@ class QualityTable(Table):
     """``[quality]``."""
 
     lowest_vm_pu: NotNegative = DEFAULT_LIMITS.lowest_vm
-    """Lower end of the band of voltage magnitudes."""
+    """Lower end of the band of voltage magnitudes; below it a state is `degraded`."""
     highest_vm_pu: Positive = DEFAULT_LIMITS.highest_vm
     """Upper end; more than `lowest_vm_pu`."""
     most_removed: Probability = DEFAULT_LIMITS.most_removed
     """Share of an area's meters, virtual ones not counted, that may be removed as bad data."""
     most_overdue: Probability = DEFAULT_LIMITS.most_overdue
     """Share of an area's meters with an interval whose readings may be missing or overdue."""
+    operating_lowest_vm_pu: NotNegative = DEFAULT_OPERATING_LIMITS.lowest_vm
+    """Lowest voltage in operation; a bus below it is shown as a violation."""
+    operating_highest_vm_pu: Positive = DEFAULT_OPERATING_LIMITS.highest_vm
+    """Highest one; more than `operating_lowest_vm_pu`."""
+    most_loading_percent: Positive = DEFAULT_OPERATING_LIMITS.most_loading_percent
+    """Largest loading of a branch in operation."""
+    most_residual: Positive = DEFAULT_OPERATING_LIMITS.most_residual
+    """Normalised residual above which a meter in use is shown as a violation; bad data are looked for above 3."""
 
     @model_validator(mode="after")
     def _is_a_band(self) -> Self:
+        require_a_band(self, "operating_lowest_vm_pu", "operating_highest_vm_pu")
         return require_a_band(self, "lowest_vm_pu", "highest_vm_pu")
+
+    @property
+    def of_estimate(self) -> StateLimits:
+        """The limits that an area's estimate keeps."""
+        return StateLimits(self.lowest_vm_pu, self.highest_vm_pu, self.most_removed, self.most_overdue)
+
+    @property
+    def of_operation(self) -> OperatingLimits:
+        """The limits of the grid in operation."""
+        band = self.operating_lowest_vm_pu, self.operating_highest_vm_pu
+        return OperatingLimits(*band, self.most_loading_percent, self.most_residual)
 
 
 class TolerancesTable(Table):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,14 +27,14 @@ from coordinator.watch.interrupts import end_orderly_on_signals
 from coordinator.watch.observe.run_address import RunAddress
 
 if TYPE_CHECKING:  # the real imports stand in the command, so that every other starts fast
+    from coordinator.watch.observe.causes import Cause
     from coordinator.watch.observe.grid_tables import GridTables
+    from coordinator.watch.observe.summary import Summary
+    from coordinator.watch.observe.view import View
     from coordinator.watch.observe.watcher import Watcher
     from dsse_core.results.table import Table
 
-    Tables = Callable[[Watcher], Mapping[str, Table]]
-
 UPDATE_S = 0.2
-BRANCHES = "branches"  # a table that only --json has
 LINE_S = 1.0  # between two lines where there is no terminal
 DEFAULT_LISTEN = "127.0.0.1:9464"  # of `dsse metrics`
 ATTEMPT_S = 2.0  # to reach the bus; meanwhile `dsse metrics` answers requests, then it tries again
@@ -70,16 +71,15 @@ def watch(address: RunAddress, scenario: str | None, buses: bool, meters: bool, 
 
     end_orderly_on_signals()
     known = _load_grid(scenario)
-    find_tables = _tables_of(known, buses or as_json, meters or as_json)
+    shown = Shown(known, buses or as_json, meters or as_json, as_json)
     areas = frozenset(area.name for area in known.partition.areas) if known else None
     try:
         with attach(address, areas=areas) as look:
             if once:
                 watcher = wait_until_whole(look, address.timeout_s, with_readings=meters)
-                show(_format(watcher, find_tables, as_json))
+                show(shown.write(watcher))
                 return 0 if watcher.is_whole() else 1
-            live = sys.stdout.isatty() and not as_json
-            _show_on(lambda: look.for_whole(UPDATE_S), find_tables, live, as_json)
+            _show_on(lambda: look.for_whole(UPDATE_S), shown, live=sys.stdout.isatty() and not as_json)
     except KeyboardInterrupt:
         if once:
             raise
@@ -96,59 +96,62 @@ def _load_grid(scenario: str | None) -> GridTables | None:
     return GridTables(load_scenario(scenario))
 
 
-def _tables_of(known: GridTables | None, buses: bool, meters: bool) -> Tables:
-    """Function from a watcher to the tables that are wanted, by name."""
-    if not (buses or meters):
-        return lambda watcher: {}
-    from coordinator.watch.observe.grid_tables import list_buses, list_meters, worst_first
+@dataclass(frozen=True)
+class Shown:
+    """The content of a view: of the grid ``known``, if it is, with the tables that are wanted, as text or JSON."""
 
-    def find(watcher: Watcher) -> dict[str, Table]:
-        states, readings = watcher.states, watcher.readings
-        tables = {}
-        if buses and known:
-            tables = dict(zip(("buses", BRANCHES), known.buses_and_branches(states), strict=True))
-        elif buses:
-            tables["buses"] = list_buses(states)
-        if meters:
-            tables["meters"] = worst_first(known.meters(states, readings) if known else list_meters(states, readings))
-        return tables
+    known: GridTables | None
+    buses: bool
+    meters: bool
+    as_json: bool
 
-    return find
+    def find(self, watcher: Watcher) -> tuple[View, Mapping[str, Table], Sequence[Cause], Summary]:
+        """View, tables by name, causes and summary."""
+        from coordinator.watch.observe.causes import find_causes
+        from coordinator.watch.observe.grid_tables import find_tables, worst_first
+        from coordinator.watch.observe.summary import summarise
+        from dsse_core.results.table import Table
+
+        view = watcher.look(time.monotonic())
+        tables, found = find_tables(watcher, view, self.known), {}
+        if self.buses:
+            found["buses"] = tables.buses
+        if self.as_json and tables.branches is not None:
+            found["branches"] = tables.branches
+        if self.meters:
+            found["meters"] = worst_first(Table("meters", tables.meters))
+        return view, found, find_causes(view, time.time()), summarise(tables, self.known)
+
+    def write(self, watcher: Watcher) -> str:
+        """The view as text, or as JSON in a line."""
+        view, tables, causes, summary = self.find(watcher)
+        if self.as_json:
+            from coordinator.watch.observe import view_json
+
+            of_all = {"causes": view_json.describe_causes(causes), "summary": view_json.describe_summary(summary)}
+            described = of_all | view_json.describe_view(view) | view_json.describe_tables(tables)
+            return json.dumps({"time": time.time(), **described})
+        from coordinator.watch.observe.view_text import format_view
+
+        return format_view(view, tables.values(), causes, summary)
 
 
-def _show_on(look: Callable[[], Watcher], find_tables: Tables, live: bool, as_json: bool) -> None:
+def _show_on(look: Callable[[], Watcher], shown: Shown, *, live: bool) -> None:
     """Show the views of ``look`` until Ctrl-C, or until the reader of standard output has closed it."""
     if live:
-        from coordinator.watch.observe.causes import find_causes
         from coordinator.watch.observe.view_text import live_view
 
         with live_view() as update:
             while True:
-                watcher = look()
-                view = watcher.look(time.monotonic())
-                shown = [table for name, table in find_tables(watcher).items() if name != BRANCHES]
-                update(view, shown, find_causes(view, time.time()))
+                view, tables, causes, summary = shown.find(look())
+                update(view, tables.values(), causes, summary)
     next_line = 0.0
     while True:
         watcher = look()
         if time.monotonic() >= next_line:
             next_line = time.monotonic() + LINE_S
-            if not show(_format(watcher, find_tables, as_json)):
+            if not show(shown.write(watcher)):
                 return
-
-
-def _format(watcher: Watcher, find_tables: Tables, as_json: bool) -> str:
-    from coordinator.watch.observe.causes import find_causes
-
-    view, at, tables = watcher.look(time.monotonic()), time.time(), find_tables(watcher)
-    if as_json:
-        from coordinator.watch.observe.view_json import describe_causes, describe_tables, describe_view
-
-        causes = describe_causes(find_causes(view, at))
-        return json.dumps({"time": at, "causes": causes, **describe_view(view), **describe_tables(tables)})
-    from coordinator.watch.observe.view_text import format_view
-
-    return format_view(view, [table for name, table in tables.items() if name != BRANCHES], find_causes(view, at))
 
 
 @command(INSPECT, serves=True, short_help="Serve /metrics, /health and /ready of a running system over HTTP.")

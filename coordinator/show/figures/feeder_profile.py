@@ -1,4 +1,4 @@
-"""Axis and limits of a voltage profile: distances from the substation, and the band of magnitudes."""
+"""Axis of a voltage profile: distances from the substation."""
 
 from __future__ import annotations
 
@@ -6,11 +6,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from dsse_core.estimation.state_limits import DEFAULT_LIMITS
 from dsse_core.grid.network import Network
-from scenarios.scenario import Scenario
-
-OPERATION = (0.9, 1.1)  # p.u., unless the scenario states a band
 
 
 def find_distances(network: Network) -> tuple[np.ndarray, str]:
@@ -32,10 +28,3 @@ def find_distances(network: Network) -> tuple[np.ndarray, str]:
     found = dijkstra(graph, directed=False, indices=network.row[network.slack.bus])
     unit = "Ω" if ohm else f"p.u. on {network.base_mva:g} MVA"
     return np.asarray(found), f"distance from the substation, sum of |r + jx| ({unit})"
-
-
-def find_limits(scenario: Scenario) -> tuple[float, float]:
-    """The band of magnitudes that the scenario states, p.u.; OPERATION if it states none."""
-    limits = scenario.limits
-    stated = (limits.lowest_vm, limits.highest_vm)
-    return OPERATION if stated == (DEFAULT_LIMITS.lowest_vm, DEFAULT_LIMITS.highest_vm) else stated

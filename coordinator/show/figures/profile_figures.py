@@ -9,7 +9,7 @@ from matplotlib.collections import LineCollection
 
 from coordinator.lab.evaluation.comparison import Voltages
 from coordinator.lab.evaluation.result import RunOutcome
-from coordinator.show.figures.feeder_profile import find_distances, find_limits
+from coordinator.show.figures.feeder_profile import find_distances
 from coordinator.show.figures.style import (
     CENTRALISED,
     DECENTRALISED,
@@ -25,7 +25,8 @@ from dsse_core.results.units import wrap_degrees
 
 def draw_magnitudes(outcome: RunOutcome) -> Drawing:
     """Figure of the voltage profile with its limits."""
-    low, high = find_limits(outcome.scenario)
+    limits = outcome.scenario.operating_limits
+    low, high = limits.lowest_vm, limits.highest_vm
     vm = outcome.comparison.decentralised.vm
     drawing = _draw(
         outcome, "magnitudes", "Voltage profile", "voltage magnitude (p.u.)", lambda voltages: voltages.vm, (low, high)

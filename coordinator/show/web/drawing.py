@@ -12,8 +12,10 @@ import numpy as np
 
 from agents.messages.packing import StateMessage
 from coordinator.show.figures.feeder_layout import find_places, lay_out
-from coordinator.show.figures.feeder_profile import OPERATION, find_distances, find_limits
+from coordinator.show.figures.feeder_profile import find_distances
+from dsse_core.estimation.state_limits import DEFAULT_OPERATING_LIMITS, OperatingLimits
 from dsse_core.grid.columns import read_given
+from dsse_core.results.table import PHASE
 from scenarios.scenario import Scenario
 
 BUSES_IN_A_ROW = 8  # of an area that is known from the bus alone
@@ -40,7 +42,6 @@ def draw_scenario(scenario: Scenario) -> dict[str, Any]:
     on_map = find_places(network)
     place, (distance, axis) = lay_out(network).place if on_map is None else on_map, find_distances(network)
     ids = network.table.bus_id.tolist()
-    low, high = find_limits(scenario)
     sees: dict[int, list[str]] = {bus: [] for bus in ids}
     for area in partition.areas:
         for bus in area.network.buses:
@@ -51,9 +52,10 @@ def draw_scenario(scenario: Scenario) -> dict[str, Any]:
         "title": scenario.name,
         "axis": axis,
         "is_map": on_map is not None,
-        "limits": [low, high],
+        **_describe_limits(scenario.operating_limits),
         "buses": {
             "id": ids,
+            "phase": [PHASE] * len(ids),
             "name": list(read_given(network.buses, "name")) or [""] * len(ids),
             "base_kv": network.table.base_kv.tolist(),
             "x": place[:, 0].tolist(),
@@ -84,7 +86,8 @@ def draw_states(run: str, states: Mapping[str, StateMessage]) -> dict[str, Any]:
     """The grid as far as ``states`` tell, with the keys of ``draw_scenario``: areas side by side, their buses in rows,
     no branches.
     """
-    buses: dict[str, list[Any]] = {key: [] for key in ("id", "name", "base_kv", "x", "y", "distance", "area", "areas")}
+    keys = "id", "phase", "name", "base_kv", "x", "y", "distance", "area", "areas"
+    buses: dict[str, list[Any]] = {key: [] for key in keys}
     row_of: dict[int, int] = {}
     areas, left = [], 0
     for name, state in states.items():
@@ -94,7 +97,7 @@ def draw_states(run: str, states: Mapping[str, StateMessage]) -> dict[str, Any]:
                 continue
             row_of[bus] = len(buses["id"])
             place = left + k % BUSES_IN_A_ROW, k // BUSES_IN_A_ROW
-            for key, value in zip(buses, (bus, "", None, *place, None, name, [name]), strict=True):
+            for key, value in zip(buses, (bus, PHASE, "", None, *place, None, name, [name]), strict=True):
                 buses[key].append(value)
         left += min(BUSES_IN_A_ROW, len(state.buses)) + 2
         shared = {other: sorted({*state.buses} & {*states[other].buses}) for other in state.sent if other in states}
@@ -105,8 +108,19 @@ def draw_states(run: str, states: Mapping[str, StateMessage]) -> dict[str, Any]:
         "title": run,
         "axis": "",
         "is_map": False,
-        "limits": list(OPERATION),
+        **_describe_limits(DEFAULT_OPERATING_LIMITS),
         "buses": buses,
         "branches": {key: [] for key in ("id", "from_bus", "to_bus", "in_service", "area")},
         "areas": areas,
     }
+
+
+def _describe_limits(limits: OperatingLimits) -> dict[str, Any]:
+    """``limits``: the band of voltages alone."""
+    stated = {
+        "lowest_vm_pu": limits.lowest_vm,
+        "highest_vm_pu": limits.highest_vm,
+        "most_loading_percent": limits.most_loading_percent,
+        "most_residual": limits.most_residual,
+    }
+    return {"limits": [limits.lowest_vm, limits.highest_vm], "operating_limits": stated}

@@ -12,12 +12,21 @@ import numpy as np
 
 from agents.protocol.quality import GOOD, QUALITIES
 from coordinator.show.web.history import History
-from coordinator.show.web.shown_tables import Tables, draw_tables
+from coordinator.show.web.shown_tables import draw_tables
 from coordinator.watch.observe.causes import find_causes
-from coordinator.watch.observe.grid_tables import GridTables, collect_readings, list_buses
+from coordinator.watch.observe.grid_tables import (
+    Columns,
+    GridTables,
+    Tables,
+    collect_readings,
+    find_tables,
+    list_buses,
+)
+from coordinator.watch.observe.summary import summarise
 from coordinator.watch.observe.view import AreaView, View
-from coordinator.watch.observe.view_json import describe_causes, describe_view
+from coordinator.watch.observe.view_json import describe_causes, describe_summary, describe_view
 from coordinator.watch.observe.watcher import Watcher
+from dsse_core.results.table import Table
 
 MOST_EVENTS = 200
 
@@ -98,13 +107,13 @@ class Moments:
         self.known = known
         self.history = History()
         self.events = Events()
-        self.tables = Tables(list_buses({}), None, collect_readings({}, {}))  # of the last moment
+        self.tables = Tables(list_buses({}, {}), None, collect_readings({}, {}, {}))  # of the last moment
         self._scans_kept: object = None
 
     def note(self, watcher: Watcher, now: float, at: float) -> View:
         """The view at ``now`` on the watcher's clock. Events and past take in its changes with the time ``at``, s."""
         view = watcher.look(now)
-        self._note(at, view, find_links(view), lambda: find_tables(watcher, self.known))
+        self._note(at, view, find_links(view), lambda: find_tables(watcher, view, self.known))
         return view
 
     def _note(self, at: float, view: View, links: Links, find_tables: Callable[[], Tables]) -> None:
@@ -119,7 +128,8 @@ class Moments:
 
         ``more``: further keys, which replace those of the moment.
         """
-        view, tables = watcher.look(now), find_tables(watcher, self.known)
+        view = watcher.look(now)
+        tables = find_tables(watcher, view, self.known)
         links = find_links(view)
         self._note(at, view, links, lambda: tables)
         self.tables = tables
@@ -127,6 +137,7 @@ class Moments:
             "causes": describe_causes(find_causes(view, at)),
             "at": at,
             "view": describe_view(view),
+            "summary": describe_summary(summarise(tables, self.known)),
             **draw_tables(tables, has_grid=self.known is not None),
             "links": links,
             "events": list(self.events.kept),
@@ -136,15 +147,17 @@ class Moments:
         }
 
     def _keep(self, at: float, view: View, tables: Tables) -> None:
+        """Keeps the fresh numbers; the past of others has a gap."""
         of, (buses, branches, meters) = self.history.of, tables
-        of["bus"].take(at, buses.bus.tolist(), {name: buses[name] for name in of["bus"].columns})
+        of["bus"].take(at, buses.bus.tolist(), _find_fresh(buses, of["bus"].columns))
         if branches is not None:
-            of["branch"].take(at, branches.branch, {name: branches[name] for name in of["branch"].columns})
-        of["meter"].take(at, meters["meter"], {name: meters[name] for name in of["meter"].columns})
+            of["branch"].take(at, branches.branch, _find_fresh(branches, of["branch"].columns))
+        of["meter"].take(at, meters["meter"], _find_fresh(meters, of["meter"].columns))
+        fresh = [area if area.freshness.is_fresh else AreaView(area.name, area.present, None) for area in view.areas]
         areas = {
             "quality": [_number_quality(area.quality) for area in view.areas],
-            "lowest_vm_pu": [np.nan if area.lowest_vm is None else area.lowest_vm.value for area in view.areas],
-            "highest_vm_pu": [np.nan if area.highest_vm is None else area.highest_vm.value for area in view.areas],
+            "lowest_vm_pu": [np.nan if area.lowest_vm is None else area.lowest_vm.value for area in fresh],
+            "highest_vm_pu": [np.nan if area.highest_vm is None else area.highest_vm.value for area in fresh],
             "messages": [area.messages for area in view.areas],
             "lost": [area.lost for area in view.areas],
         }
@@ -152,12 +165,8 @@ class Moments:
         of["area"].take(at, [area.name for area in view.areas], columns)
 
 
-def find_tables(watcher: Watcher, known: GridTables | None) -> Tables:
-    """Tables of the messages that ``watcher`` has received. ``known``: the grid, if its scenario is known."""
-    states, readings = watcher.states, watcher.readings
-    if known is None:
-        return Tables(list_buses(states), None, collect_readings(states, readings))
-    return Tables(*known.buses_and_branches(states), known.collect_meters(states, readings))
+def _find_fresh(columns: Table | Columns, names: Iterable[str]) -> dict[str, np.ndarray]:
+    return {name: np.where(columns["fresh"], columns[name], np.nan) for name in names}
 
 
 def encode_json(content: object) -> bytes:

@@ -8,10 +8,11 @@ import msgspec
 
 from coordinator.lab.evaluation.answers import version_of
 from coordinator.show.web.history import KINDS
+from coordinator.watch.observe.summary import Summary
 
 Number = float | None
 """A number; null where it is not known."""
-Columns = dict[str, list[Number | str]]
+Columns = dict[str, list[Number | str | bool]]
 """Name of a column -> its values, one for each row."""
 
 
@@ -23,9 +24,10 @@ class Health(TypedDict):
 
 
 class BusColumns(TypedDict):
-    """Columns of the grid's buses; ``x``, ``y``: columns and rows of the drawing, or coordinates where it is a map."""
+    """Columns of the grid's nodes; ``x``, ``y``: columns and rows of the drawing, or coordinates where it is a map."""
 
     id: list[int]
+    phase: list[str]
     name: list[str]
     base_kv: list[Number]
     x: list[float]
@@ -60,6 +62,15 @@ class GridArea(TypedDict):
     neighbours: list[Meeting]
 
 
+class OperatingLimits(TypedDict):
+    """Limits of the grid in operation, from the scenario's ``[quality]``."""
+
+    lowest_vm_pu: float
+    highest_vm_pu: float
+    most_loading_percent: float
+    most_residual: float
+
+
 class Grid(TypedDict):
     """Drawing of the grid, which rarely changes; ``known``: from a scenario, else from the states on the bus."""
 
@@ -70,6 +81,7 @@ class Grid(TypedDict):
     axis: str
     is_map: bool
     limits: list[float]
+    operating_limits: OperatingLimits
     buses: BusColumns
     branches: BranchColumns
     areas: list[GridArea]
@@ -104,7 +116,11 @@ class RootCause(TypedDict):
 
 
 class Moment(TypedDict):
-    """All that a page shows at one moment; before the first view only number, mode and time."""
+    """All that a page shows at one moment; before the first view only number, mode and time.
+
+    ``fresh`` of a row: its numbers are of the present; quality and ``value_age_s`` are those of its area. Only fresh
+    numbers count in ``summary``.
+    """
 
     causes: NotRequired[list[RootCause]]
     number: int
@@ -113,6 +129,7 @@ class Moment(TypedDict):
     at: NotRequired[float]
     grid_version: NotRequired[str]
     view: NotRequired[dict[str, Any]]
+    summary: NotRequired[Summary]
     buses: NotRequired[Columns]
     branches: NotRequired[Columns]
     meters: NotRequired[Columns]
@@ -124,7 +141,9 @@ class Moment(TypedDict):
 
 
 class Past(TypedDict):
-    """Times and columns of one bus, branch, meter or area; ``complete``: false where more of them will be found."""
+    """Times and columns of one bus, branch, meter or area, null where nothing fresh was there; ``complete``: false
+    where more of them will be found.
+    """
 
     time: list[float]
     columns: dict[str, list[Number]]

@@ -4,29 +4,22 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from coordinator.watch.observe.grid_tables import Columns, order_worst_first, pick_rows
+from coordinator.watch.observe.grid_tables import Columns, Tables, order_worst_first, pick_rows
 from dsse_core.results.table import Table
 
 MOST_METERS = 100  # the worst meters, sent with every moment
 MOST_ROWS = 1000  # of one request
 # column -> decimals: enough for a page, in a third of the bytes
-BUS = {"vm_pu": 6, "va_deg": 5, "sigma_vm_pu": 7, "sigma_va_deg": 6, "p_kw": 3, "q_kvar": 3}
-BRANCH = {"p_from_kw": 3, "q_from_kvar": 3, "i_from_a": 3, "loss_kw": 4, "loading_percent": 2}
-METER = {"reading": 6, "sigma": 7, "estimate": 6, "residual_in_sigmas": 3, "normalised_residual": 3, "age_s": 1}
+AGE = {"value_age_s": 1}
+BUS = {"vm_pu": 6, "va_deg": 5, "sigma_vm_pu": 7, "sigma_va_deg": 6, "p_kw": 3, "q_kvar": 3} | AGE
+BRANCH = {"p_from_kw": 3, "q_from_kvar": 3, "i_from_a": 3, "loss_kw": 4, "loading_percent": 2} | AGE
+METER = {"reading": 6, "sigma": 7, "estimate": 6, "residual_in_sigmas": 3, "normalised_residual": 3, "age_s": 1} | AGE
 DRAWN_OF_BUS, DRAWN_OF_BRANCH = {"vm_pu": 5, "sigma_vm_pu": 6}, {"loading_percent": 1}
-WORDS = ("meter", "area", "status", "unit")
-
-
-class Tables(NamedTuple):
-    """The tables of a moment. ``branches``: None where the grid is not known."""
-
-    buses: Table
-    branches: Table | None
-    meters: Columns
+WORDS = ("meter", "area", "status", "unit", "phase", "quality", "fresh", "injection_problem")
 
 
 def draw_tables(tables: Tables, *, has_grid: bool) -> dict[str, Any]:
@@ -36,8 +29,8 @@ def draw_tables(tables: Tables, *, has_grid: bool) -> dict[str, Any]:
     buses, branches, meters = tables
     worst = order_worst_first(meters, MOST_METERS)
     return {
-        "buses": _round(_known(buses, DRAWN_OF_BUS), DRAWN_OF_BUS) | ({} if has_grid else {"id": buses.bus.tolist()}),
-        "branches": {} if branches is None else _round(_known(branches, DRAWN_OF_BRANCH), DRAWN_OF_BRANCH),
+        "buses": _draw(buses, DRAWN_OF_BUS) | ({} if has_grid else {"id": buses.bus.tolist()}),
+        "branches": {} if branches is None else _draw(branches, DRAWN_OF_BRANCH),
         "meters": _describe(pick_rows(meters, worst), METER),
         "meter_counts": Counter(meters["status"]),
     }
@@ -66,13 +59,15 @@ def _find_columns(tables: Tables, kind: str) -> tuple[Columns, str, Mapping[str,
     return {} if table is None else {name: table[name] for name in table.columns}, key, decimals
 
 
-def _known(table: Table, names: Mapping[str, int]) -> Columns:
-    return {name: table[name] for name in names if not np.isnan(table[name]).all()}
+def _draw(table: Table, names: Mapping[str, int]) -> dict[str, Any]:
+    known = {name: table[name] for name in names if not np.isnan(table[name]).all()}
+    return _round(known, names) | {"fresh": table.fresh.tolist()}
 
 
 def _describe(columns: Columns, decimals: Mapping[str, int]) -> dict[str, Any]:
-    """Columns of numbers, rounded, and columns of words."""
-    return _round(columns, decimals) | {name: columns[name] for name in WORDS if name in columns}
+    """Columns of numbers, rounded, and columns of words and truth values."""
+    plain = {name: columns[name] for name in WORDS if name in columns}
+    return _round(columns, decimals) | {n: c.tolist() if isinstance(c, np.ndarray) else c for n, c in plain.items()}
 
 
 def _round(columns: Columns, decimals: Mapping[str, int]) -> dict[str, Any]:

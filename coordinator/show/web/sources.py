@@ -10,8 +10,7 @@ from typing import Any, Protocol
 
 from coordinator.show.web.drawing import Drawing, draw_scenario, draw_states, encode_drawing
 from coordinator.show.web.moment import Moments, encode_json
-from coordinator.show.web.shown_tables import Tables
-from coordinator.watch.observe.grid_tables import GridTables
+from coordinator.watch.observe.grid_tables import GridTables, Tables
 from coordinator.watch.observe.watcher import Watcher
 
 UPDATE_S = 0.25  # least time between two moments

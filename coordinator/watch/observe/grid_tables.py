@@ -4,32 +4,57 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from agents.messages.packing import ReadingsMessage, StateMessage
+from coordinator.watch.observe.freshness import NOT_KNOWN, Freshness, describe_freshness
+from coordinator.watch.observe.view import View
+from coordinator.watch.observe.watcher import Watcher
 from dsse_core.grid.measurement import Meter, Source
 from dsse_core.grid.partition import Partition
-from dsse_core.results.branches import make_branch_table
+from dsse_core.results.branches import find_loading, make_branch_table
 from dsse_core.results.buses import make_bus_table
+from dsse_core.results.flows import Flows
 from dsse_core.results.meters import UNIT, find_unit_sizes
 from dsse_core.results.state import AreaVoltages, join_states
-from dsse_core.results.table import Table
+from dsse_core.results.table import PHASE, Table
+from dsse_core.results.totals import division_of
 from dsse_core.results.units import wrap_degrees
 from scenarios.scenario import Scenario
 
 States = Mapping[str, StateMessage]
 ReadingsByArea = Mapping[str, ReadingsMessage]
+FreshnessByArea = Mapping[str, Freshness]
 Columns = dict[str, Any]  # name -> column of a table: array of numbers, list or tuple of texts
 RELATIVE = "age_s", "residual_in_sigmas", "normalised_residual"  # columns without a unit of the meter
 USED, REMOVED, CRITICAL, SILENT, OFF = "used", "removed", "critical", "silent", "off"
 UNKNOWN = "not received"  # the readings of its area, for up to 10 s after a watcher begins to listen
 
 
-def list_buses(states: States) -> Table:
+class Tables(NamedTuple):
+    """The tables of a moment. ``branches``: None where the grid is not known."""
+
+    buses: Table
+    branches: Table | None
+    meters: Columns
+
+
+def find_tables(watcher: Watcher, view: View, known: GridTables | None) -> Tables:
+    """Tables of the messages that ``watcher`` has received, whose numbers have the freshness of ``view``.
+
+    ``known``: the grid, if its scenario is known.
+    """
+    states, readings, freshness = watcher.states, watcher.readings, view.freshness
+    if known is None:
+        return Tables(list_buses(states, freshness), None, collect_readings(states, readings, freshness))
+    return Tables(*known.buses_and_branches(states, freshness), known.collect_meters(states, readings, freshness))
+
+
+def list_buses(states: States, freshness: FreshnessByArea) -> Table:
     """A row for each bus of each area, p.u. and degrees; a boundary bus has one for each area that sees it."""
     rows = [
         (area, bus, vm, va if s.referenced else np.nan, sigma_vm, np.degrees(sigma_va))
@@ -40,21 +65,18 @@ def list_buses(states: States) -> Table:
     names = "vm_pu", "va_deg", "sigma_vm_pu", "sigma_va_deg"
     columns = {name: np.array(column, dtype=float) for name, column in zip(names, numbers, strict=True)}
     columns["va_deg"] = wrap_degrees(columns["va_deg"])
-    return Table("buses", {"bus": np.array(buses, dtype=np.int64), "area": areas, **columns})
+    node: Columns = {"bus": np.array(buses, dtype=np.int64), "area": areas, "phase": [PHASE] * len(areas)}
+    return Table("buses", node | columns | describe_freshness(areas, freshness))
 
 
-def list_meters(states: States, readings: ReadingsByArea) -> Table:
-    """A row for each meter that an area has used, or that is off, in its last scan; p.u. and rad.
+def collect_readings(states: States, readings: ReadingsByArea, freshness: FreshnessByArea) -> Columns:
+    """Columns of the meters that areas have used, or that are off, in their last scans; p.u. and rad. No table, which
+    takes longer.
 
     ``residual_in_sigmas``: (reading - estimate) / standard deviation of the reading. ``normalised_residual``:
     |reading - estimate| / standard deviation of the residual. Both are nan where not known, as for a meter that is off.
     ``age_s``: age of the reading at the tick of the scan.
     """
-    return Table("meters", collect_readings(states, readings))
-
-
-def collect_readings(states: States, readings: ReadingsByArea) -> Columns:
-    """The columns of ``list_meters``, without the cost of a table, for callers that ask several times a second."""
     texts: dict[str, list[str]] = {name: [] for name in ("meter", "area", "status")}
     names = "reading", "sigma", "estimate", "normalised_residual", "age_s"
     numbers: dict[str, list[float]] = {name: [] for name in names}
@@ -76,7 +98,12 @@ def collect_readings(states: States, readings: ReadingsByArea) -> Columns:
     found = {name: np.array(column, dtype=float) for name, column in numbers.items()}
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # values of a hostile area
         found["residual_in_sigmas"] = (found["reading"] - found["estimate"]) / found["sigma"]
-    return {**texts, **found}
+    return {**texts, **found, **describe_freshness(texts["area"], freshness)}
+
+
+def add_columns(title: str, table: Table, more: Columns) -> Table:
+    """``table`` with further columns."""
+    return Table(title, {name: table[name] for name in table.columns} | more)
 
 
 def worst_first(meters: Table) -> Table:
@@ -134,8 +161,17 @@ class GridTables:
     def partition(self) -> Partition:
         return self.scenario.partition
 
-    def buses_and_branches(self, states: States) -> tuple[Table, Table]:
-        """Buses by the states of their owners, branches by those of the areas that hold them; nan where not known."""
+    @cached_property
+    def is_rated(self) -> np.ndarray:
+        """True for branches whose loading can be known, (n_branch,)."""
+        none = np.zeros(len(self.scenario.network.branches), dtype=complex)
+        return np.asarray(~np.isnan(find_loading(self.scenario.network, Flows(none, none, none, none))))
+
+    def buses_and_branches(self, states: States, freshness: FreshnessByArea) -> tuple[Table, Table]:
+        """Buses by the states of their owners, branches by those of the areas that hold them; nan where not known.
+
+        ``injection_problem``: the reason that the injection of a boundary bus is not known, empty if it is.
+        """
         fitting = {area.name: own for area in self.partition.areas if (own := self._fitting(area.name, states))}
         state = join_states(self.partition, {name: self._voltages_of(name, s) for name, s in fitting.items()})
         n, owners = len(state.vm), self.partition.owner_of_bus
@@ -148,19 +184,46 @@ class GridTables:
                 if own.referenced:
                     sigma[1, rows[owned]] = np.array(own.sigma_va)[order][owned]
         areas = [owners[bus.id] for bus in state.network.buses]
+        problems = self._find_injection_problems(fitting, freshness)
+        unknown = np.isin(state.network.table.bus_id, list(problems))
+        state = replace(state, injection=np.where(unknown, complex(np.nan, np.nan), state.injection))
         buses = make_bus_table(state, areas, {}, sigma[0], sigma[1], np.full((2, n), np.nan))
-        return buses, make_branch_table(state.network, state.branches, state.flows)
+        branches = make_branch_table(state.network, state.branches, state.flows)
+        of_buses = describe_freshness(areas, freshness)
+        of_buses["injection_problem"] = [problems.get(bus, "") for bus in buses.bus.tolist()]
+        of_branches = describe_freshness(self._holders, freshness)
+        return add_columns("buses", buses, of_buses), add_columns("branches", branches, of_branches)
 
-    def meters(self, states: States, readings: ReadingsByArea) -> Table:
-        """Table of ``list_meters`` with readings in their ``unit``, and a row for each meter without a known reading.
+    @cached_property
+    def _holders(self) -> list[str]:
+        """The area of each branch; of an open one, that of its from bus."""
+        division = division_of(self.partition)
+        return [division.names[k] for k in division.of_branch.tolist()]
+
+    def _find_injection_problems(self, states: States, freshness: FreshnessByArea) -> dict[int, str]:
+        """Boundary bus -> the reason that the parts of its injection in several areas do not add up."""
+        found: dict[int, str] = {}
+        limits = self.scenario.tolerances.consensus_vm_pu, self.scenario.tolerances.consensus_va_rad
+        for bus, (owner, *others) in self.partition.boundaries.items():
+            seen = [states.get(name) for name in (owner, *others)]
+            fresh = [freshness.get(name, NOT_KNOWN).is_fresh for name in (owner, *others)]
+            for name, state, is_fresh in zip((owner, *others), seen, fresh, strict=True):
+                if state is None or seen[0] is None:
+                    found.setdefault(bus, f"{owner if seen[0] is None else name} has no estimate")
+                elif fresh[0] and not is_fresh:
+                    found.setdefault(bus, f"the numbers of {name} are old")
+                elif state.header.scan != seen[0].header.scan:
+                    found.setdefault(bus, f"{owner} and {name} are of different scans")
+                elif not _agree_at(bus, seen[0], state, *limits):
+                    found.setdefault(bus, f"{owner} and {name} differ there")
+        return found
+
+    def collect_meters(self, states: States, readings: ReadingsByArea, freshness: FreshnessByArea) -> Columns:
+        """Columns of ``collect_readings`` with readings in their ``unit``, and a row for each meter without a reading.
 
         The status of such a meter is ``silent`` where its area has published its readings, else ``not received``.
         """
-        return Table("meters", self.collect_meters(states, readings))
-
-    def collect_meters(self, states: States, readings: ReadingsByArea) -> Columns:
-        """The columns of ``meters``, without the cost of a table, for callers that ask several times a second."""
-        plain = collect_readings(states, readings)
+        plain = collect_readings(states, readings, {})
         rows = self._find_rows(plain["meter"], plain["area"])
         gap = np.full(len(rows.silent_areas), np.nan)
         status = plain["status"] if rows.are_all else [plain["status"][k] for k in rows.known.tolist()]
@@ -169,7 +232,8 @@ class GridTables:
         with np.errstate(over="ignore"):
             scaled = {name: np.concatenate([plain[name][rows.known] * rows.size, gap]) for name in sized}
         relative = {name: np.concatenate([plain[name][rows.known], gap]) for name in RELATIVE}
-        return {**rows.columns, "status": status + silent, **scaled, **relative}
+        fresh = describe_freshness(rows.columns["area"], freshness)
+        return {**rows.columns, "status": status + silent, **scaled, **relative, **fresh}
 
     def _find_rows(self, meters: list[str], areas: list[str]) -> _MeterRows:
         """The rows for these readings; computed again only where other meters have readings than at the last call."""
@@ -227,3 +291,12 @@ class GridTables:
     def _voltages_of(self, area: str, state: StateMessage) -> AreaVoltages:
         order = self._order_of(area, state.buses)
         return AreaVoltages(np.array(state.vm)[order], np.array(state.va)[order], state.referenced)
+
+
+def _agree_at(bus: int, one: StateMessage, other: StateMessage, most_vm: float, most_va: float) -> bool:
+    """True where two areas state the same voltage of ``bus``, of angles that count from the substation in both."""
+    i, j = one.buses.index(bus), other.buses.index(bus)
+    if abs(one.vm[i] - other.vm[j]) > most_vm:
+        return False
+    both = one.referenced and other.referenced
+    return not both or abs(math.remainder(one.va[i] - other.va[j], 2 * math.pi)) <= most_va

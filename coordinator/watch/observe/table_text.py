@@ -10,8 +10,9 @@ import numpy as np
 from dsse_core.printable import printable, shortened
 from dsse_core.results.table import Table
 
-BUSES_FIRST = "bus", "area", "vm_pu", "va_deg", "sigma_vm_pu", "p_kw", "q_kvar"  # columns in order, as far as they fit
-METERS_FIRST = "meter", "area", "status", "normalised_residual", "reading", "estimate", "unit", "age_s"
+NUMBERS = "vm_pu", "va_deg", "sigma_vm_pu", "p_kw", "q_kvar"
+BUSES_FIRST = "bus", "area", "quality", "value_age_s", *NUMBERS  # columns in order, as far as they fit
+METERS_FIRST = "meter", "area", "status", "normalised_residual", "reading", "estimate", "unit", "quality", "value_age_s"
 OF_UNITS = "reading", "estimate", "sigma"  # columns in which each meter has its own unit
 DIGITS = 5  # significant digits of a number
 MOST_DECIMALS = 7

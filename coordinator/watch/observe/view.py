@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from agents.protocol.quality import NONE
+from coordinator.watch.observe.freshness import Freshness, find_freshness
 from coordinator.watch.observe.notes import Noted
 
 OVER_S = 2.0  # an incarnation silent for so long is over; a watcher does not know the heartbeat
@@ -94,6 +95,11 @@ class AreaView:
     vanished: float | None = None
 
     @property
+    def freshness(self) -> Freshness:
+        """Quality and age of all numbers of the area."""
+        return find_freshness(self.quality, self.telemetry_age_s, has_estimate=self.estimated)
+
+    @property
     def state(self) -> str:
         """Presence and estimate of the area in a few words."""
         if not self.present:
@@ -127,3 +133,8 @@ class View:
     now: float = 0.0
     is_linked: bool = True
     gone: Mapping[str, float | None] = field(default_factory=dict)
+
+    @property
+    def freshness(self) -> dict[str, Freshness]:
+        """Area -> quality and age of all its numbers."""
+        return {area.name: area.freshness for area in self.areas}

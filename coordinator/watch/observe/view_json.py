@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields
 from typing import Any
 
 from coordinator.watch.observe.causes import Cause
+from coordinator.watch.observe.summary import Summary
 from coordinator.watch.observe.view import AreaView, Extreme, View
 from coordinator.watch.tables.table_files import columns_as_json
 from dsse_core.results.table import Table
@@ -30,7 +32,8 @@ def describe_causes(causes: Iterable[Cause]) -> list[dict[str, Any]]:
 def _describe_area(area: AreaView) -> dict[str, Any]:
     values = {name: getattr(area, name) for name in OF_AREA}
     described = {name: _describe_extreme(v) if isinstance(v, Extreme) else v for name, v in values.items()}
-    return {"state": area.state} | described
+    age_s, is_fresh = area.freshness.value_age_s, area.freshness.is_fresh
+    return {"state": area.state, "fresh": is_fresh, "value_age_s": None if math.isnan(age_s) else age_s} | described
 
 
 def _describe_extreme(extreme: Extreme) -> dict[str, Any]:
@@ -40,3 +43,8 @@ def _describe_extreme(extreme: Extreme) -> dict[str, Any]:
 def describe_tables(tables: Mapping[str, Table]) -> dict[str, dict[str, list[Any]]]:
     """Name -> the columns of a table, each with all its values; None for unknown values."""
     return {name: columns_as_json(table) for name, table in tables.items()}
+
+
+def describe_summary(summary: Summary) -> dict[str, dict[str, Any]]:
+    """A summary by its quantities."""
+    return asdict(summary)

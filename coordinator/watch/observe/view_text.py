@@ -14,6 +14,7 @@ from rich.text import Text
 from agents.protocol.quality import DEGRADED, GOOD
 from coordinator.watch.interrupts import Held
 from coordinator.watch.observe.causes import Cause
+from coordinator.watch.observe.summary import Extent, Power, Summary
 from coordinator.watch.observe.table_text import write_table
 from coordinator.watch.observe.view import AreaView, Extreme, View
 from dsse_core.printable import listed, printable, shortened
@@ -32,24 +33,29 @@ STYLES = {GOOD: "green", DEGRADED: "yellow"}  # every other quality is red
 
 
 def format_view(
-    view: View, tables: Iterable[Table] = (), causes: Sequence[Cause] = (), *, most: int | None = None
+    view: View,
+    tables: Iterable[Table] = (),
+    causes: Sequence[Cause] = (),
+    summary: Summary | None = None,
+    *,
+    most: int | None = None,
 ) -> str:
     """The causes, the view, and below it ``tables`` with ``most`` rows each, as lines of WIDTH characters at most."""
-    lines = [text for text, _ in (*_write_causes(causes, WIDTH), *_write_view(view, WIDTH))]
+    lines = [text for text, _ in (*_write_causes(causes, WIDTH), *_write_view(view, WIDTH, summary))]
     for table in tables:
         lines += ["", *write_table(table, WIDTH, most)]
     return "\n".join(lines)
 
 
 @contextmanager
-def live_view() -> Iterator[Callable[[View, Iterable[Table], Sequence[Cause]], None]]:
+def live_view() -> Iterator[Callable[[View, Iterable[Table], Sequence[Cause], Summary | None], None]]:
     """A function that shows a view in place, in colours, as much of it as the terminal holds."""
     console = Console()
     with Live(console=console, auto_refresh=False) as live:
 
-        def update(view: View, tables: Iterable[Table], causes: Sequence[Cause]) -> None:
+        def update(view: View, tables: Iterable[Table], causes: Sequence[Cause], summary: Summary | None) -> None:
             width, height = min(console.width, WIDEST), console.height - 1  # the cursor stands in the last line
-            lines = fit_view(view, list(tables), width, height, causes)
+            lines = fit_view(view, list(tables), width, height, causes, summary)
             with Held():  # an interrupted drawing stays on the screen, and the next one begins in its last line
                 live.update(Text("\n").join(Text(line, style=style) for line, style in lines), refresh=True)
 
@@ -57,7 +63,12 @@ def live_view() -> Iterator[Callable[[View, Iterable[Table], Sequence[Cause]], N
 
 
 def fit_view(
-    view: View, tables: Sequence[Table], width: int, height: int, causes: Sequence[Cause] = ()
+    view: View,
+    tables: Sequence[Table],
+    width: int,
+    height: int,
+    causes: Sequence[Cause] = (),
+    summary: Summary | None = None,
 ) -> list[tuple[str, str]]:
     """Lines and their styles, ``height`` at most: causes, areas, and as many rows of ``tables`` as fit.
 
@@ -66,11 +77,11 @@ def fit_view(
     beside = 3  # lines of a table beside its rows: an empty one, the heading, the number of rows left out
     room = height - len(tables) * (LEAST_ROWS + beside)
     first = list(_write_causes(causes, width))
-    lines = [*first, *_write_view(view, width)]
+    lines = [*first, *_write_view(view, width, summary)]
     if len(lines) > room:
         shown = max(1, room - 1)
         worst_first = sorted(view.areas, key=lambda area: area.quality == GOOD)
-        lines = [*first, *_write_view(replace(view, areas=tuple(worst_first)), width)]
+        lines = [*first, *_write_view(replace(view, areas=tuple(worst_first)), width, summary)]
         lines = [*lines[:shown], (f"... and {len(lines) - shown} lines more: --once shows all", "")]
     for k, table in enumerate(tables):
         rows = max(LEAST_ROWS, (height - len(lines)) // (len(tables) - k) - beside)
@@ -88,7 +99,7 @@ def _write_causes(causes: Sequence[Cause], width: int) -> Iterator[tuple[str, st
             yield from ((line, "") for line in _wrap(effects, width, "    "))
 
 
-def _write_view(view: View, width: int) -> Iterator[tuple[str, str]]:
+def _write_view(view: View, width: int, summary: Summary | None) -> Iterator[tuple[str, str]]:
     """All lines of ``view`` with their styles, ``width`` characters at most."""
     qualities = [area.quality for area in view.areas]
     counts = [f"{qualities.count(quality)} {quality}" for quality in dict.fromkeys(qualities)]
@@ -96,7 +107,8 @@ def _write_view(view: View, width: int) -> Iterator[tuple[str, str]]:
     title = f"run {view.run}, scan {scan}: {_count(len(qualities), 'area')}, {listed(counts) or 'nobody is there'}"
     yield from ((line, "bold") for line in _wrap(title, width))
     strangers = [f"{view.strangers} more are announced as areas and not shown"] if view.strangers else []
-    remarks = _write_others(view), *strangers, *view.duplicates[:MOST_LISTED], *view.other_versions
+    of_grid = _write_summary(summary) if summary else ()
+    remarks = *of_grid, _write_others(view), *strangers, *view.duplicates[:MOST_LISTED], *view.other_versions
     for remark in (*remarks, *_write_splits(view.areas)):
         yield from ((line, "") for line in _wrap(remark, width))
     yield _columns([name for name, _ in COLUMNS], "worst norm. residual", width), "bold"
@@ -113,6 +125,37 @@ def _write_view(view: View, width: int) -> Iterator[tuple[str, str]]:
             yield from ((line, "") for line in _wrap(remark, width, "    "))
     if len(view.areas) > MOST_AREAS:
         yield f"... and {len(view.areas) - MOST_AREAS} areas more: --json has all", ""
+
+
+def _write_summary(summary: Summary) -> Iterator[str]:
+    """Sentences on the voltages and loadings of the present, and on the powers of the grid."""
+    voltage, loading, head = summary.voltage, summary.loading, summary.head
+    yield _describe_extent(voltage, "buses", ".3f", " p.u.")
+    if loading.total:
+        yield _describe_extent(loading, "branches with a rating", ".0f", " %")
+    if summary.loss.total:
+        powers = [("head", head), ("load", summary.load), ("generation", summary.generation), ("losses", summary.loss)]
+        said = [f"{name} {power.p_kw:.1f}{_count_parts(power)}" for name, power in powers if power.p_kw is not None]
+        yield f"power in kW: {', '.join(said) or 'not known'}"
+
+
+def _describe_extent(extent: Extent, things: str, form: str, unit: str) -> str:
+    if extent.lowest is None or extent.highest is None:
+        return f"of {extent.total} {things} none is known"
+    counted = (
+        f"{extent.total} {things}"
+        if extent.known == extent.total
+        else f"of {extent.total} {things} {extent.known} known"
+    )
+    band = f"{extent.lowest.value:{form}} to {extent.highest.value:{form}}{unit}"
+    if not extent.outside:
+        return f"{counted}, within limits: {band}"
+    worst = ", ".join(f"{printable(each.at)} {each.value:{form}}" for each in extent.worst)
+    return f"{counted}, {band}; {extent.outside} beyond limits: {worst}"
+
+
+def _count_parts(power: Power) -> str:
+    return "" if power.known == power.total else f" ({power.known} of {power.total} known)"
 
 
 def _choose_areas(areas: Sequence[AreaView]) -> Sequence[AreaView]:
@@ -153,6 +196,8 @@ def _remarks(area: AreaView, scan: int) -> Iterator[str]:
     """The scan of an area where it is not the newest, and its notes, the worst first."""
     if 0 < area.scan != scan:
         yield f"works on scan {area.scan}"
+    if area.estimated and not area.freshness.is_fresh:
+        yield f"its numbers are {area.freshness.value_age_s:.0f} s old"
     own_quality = f" (it said {area.said_quality})" if area.quality != area.said_quality else ""
     for k, note in enumerate(area.notes[:MOST_NOTES]):
         yield shortened(note, LONGEST_SENTENCE) + own_quality * (k == 0)

@@ -12,8 +12,8 @@ from coordinator.lab.simulator.simulate import Simulation
 from coordinator.show.web.drawing import Drawing, draw_scenario, encode_drawing
 from coordinator.show.web.playback.play import Play
 from coordinator.show.web.playback.source import PlaybackSource
-from coordinator.show.web.shown_tables import Tables
 from coordinator.show.web.sources import BUSY_SHARE, Frame
+from coordinator.watch.observe.grid_tables import Tables
 from scenarios.scenario import Scenario
 
 FIRST_LOOK_S = 0.02  # between two checks for the begin of the run

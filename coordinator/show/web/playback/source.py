@@ -12,12 +12,11 @@ from typing import Any
 
 from agents.messages.packing import ReadingsMessage, StateMessage
 from coordinator.show.web.drawing import Drawing, draw_scenario, draw_states, encode_drawing
-from coordinator.show.web.moment import MOST_EVENTS, Moments, encode_json, find_tables
+from coordinator.show.web.moment import MOST_EVENTS, Moments, encode_json
 from coordinator.show.web.playback.course import Course
 from coordinator.show.web.playback.play import Play, Sent
-from coordinator.show.web.shown_tables import Tables
 from coordinator.show.web.sources import Frame
-from coordinator.watch.observe.grid_tables import GridTables
+from coordinator.watch.observe.grid_tables import GridTables, Tables, find_tables
 from coordinator.watch.recording.folder import read_about
 from coordinator.watch.replay.recorded_messages import Update, read_newest_messages
 from scenarios.scenario import Scenario
@@ -124,7 +123,8 @@ class PlaybackSource:
 
     def tables(self, number: int | None = None) -> Tables:
         at = self._times[len(self._times) - 1 if number is None else number]
-        return find_tables(self._course.watcher_at(at), self._known)
+        watcher = self._course.watcher_at(at)
+        return find_tables(watcher, watcher.look(at), self._known)
 
     def frame(self, number: int) -> bytes:
         at, before = self._times[number], self._times[number - 1] if number else 0.0

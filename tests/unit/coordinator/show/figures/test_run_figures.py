@@ -25,7 +25,7 @@ from coordinator.show.figures.profile_figures import draw_angles, draw_magnitude
 from coordinator.show.figures.residuals_figure import draw_residuals
 from coordinator.show.figures.run_figures import draw_run
 from coordinator.show.figures.style import COLOURS, INK, PAPER, Drawing
-from dsse_core.estimation.state_limits import StateLimits
+from dsse_core.estimation.state_limits import OperatingLimits
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.results.meters import read_in_own_units
 from scenarios.scenario import load_scenario
@@ -132,11 +132,13 @@ def test_distances_are_those_along_the_branches() -> None:
     assert "p.u. on 2 MVA" in name
 
 
-@pytest.mark.parametrize(("stated", "drawn"), [(StateLimits(), [0.9, 1.1]), (StateLimits(0.95, 1.05), [0.95, 1.05])])
+@pytest.mark.parametrize(
+    ("stated", "drawn"), [(OperatingLimits(), [0.9, 1.1]), (OperatingLimits(0.95, 1.05), [0.95, 1.05])]
+)
 def test_the_profile_has_every_bus_at_its_distance_and_the_limits(
-    result: RunResult, stated: StateLimits, drawn: list[float]
+    result: RunResult, stated: OperatingLimits, drawn: list[float]
 ) -> None:
-    limited = replace(result, scenario=replace(result.scenario, limits=stated))
+    limited = replace(result, scenario=replace(result.scenario, operating_limits=stated))
     drawing = draw_magnitudes(limited)
     (axis,) = axes_of(drawing)
     ours = line(axis, "decentralised estimate")

@@ -35,6 +35,23 @@ def test_the_last_moment_of_a_run_shows_all_areas_and_every_bus():
     assert len(now["branches"].get("loading_percent", range(12))) == 12
 
 
+def test_each_row_says_whether_it_is_fresh_and_a_summary_counts_those_that_are():
+    asked = client(played())
+    grid, now = asked.get("/api/grid").json(), asked.get("/api/now").json()
+    assert now["buses"]["fresh"] == [True] * 13
+    assert now["summary"]["voltage"]["known"] == now["summary"]["voltage"]["total"] == 13
+    assert now["summary"]["loss"]["p_kw"] > 0
+    assert grid["operating_limits"] == {
+        **{"lowest_vm_pu": 0.9, "highest_vm_pu": 1.1, "most_loading_percent": 100.0, "most_residual": 3.0}
+    }
+    first = asked.get("/api/frame/0").json()
+    assert first["buses"]["fresh"] == [False] * 13
+    assert first["summary"]["voltage"]["known"] == 0
+    row = asked.get("/api/rows?kind=bus&id=3").json()["rows"]
+    assert (row["quality"], row["fresh"], row["injection_problem"]) == (["good"], [True], [""])
+    assert row["value_age_s"][0] >= 0.0
+
+
 def test_rows_have_what_a_moment_leaves_out():
     asked = client(played())
     grid, now = asked.get("/api/grid").json(), asked.get("/api/now").json()

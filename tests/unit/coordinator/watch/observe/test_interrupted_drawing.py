@@ -42,7 +42,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 def test_the_view_of_a_watcher_is_not_left_in_part_on_the_screen(drawn: list[str]) -> None:
     with pytest.raises(KeyboardInterrupt), live_view() as show:
-        show(View("run", (), (), (), (), 0), (), ())
+        show(View("run", (), (), (), (), 0), (), (), None)
     assert drawn == ["whole"]
 
 

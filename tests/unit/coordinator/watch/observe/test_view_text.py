@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.messages.packing import Header, Incarnation, ReadingsMessage
-from coordinator.watch.observe.grid_tables import GridTables, list_buses, list_meters, worst_first
+from coordinator.watch.observe.grid_tables import GridTables, collect_readings, find_tables, list_buses, worst_first
 from coordinator.watch.observe.table_text import write_table
 from coordinator.watch.observe.view_json import describe_tables, describe_view
 from coordinator.watch.observe.view_text import WIDTH, fit_view, format_view
@@ -87,7 +87,7 @@ def test_an_area_that_never_spoke_says_so():
 
 def test_meters_are_listed_with_age_residual_and_what_became_of_them_the_worst_first():
     states = {"area1": a_state(removed=("vm@1",), meters_off=("q_flow@1:1-2",))}
-    table = worst_first(list_meters(states, {"area1": USED}))
+    table = worst_first(Table("meters", collect_readings(states, {"area1": USED}, {})))
     assert table.meter == ("vm@1", "p_flow@1:1-2", "q_flow@1:1-2")
     assert table.status == ("removed", "used", "off")
     assert table.age_s.tolist()[:2] == [60.0, 0.0]
@@ -96,7 +96,7 @@ def test_meters_are_listed_with_age_residual_and_what_became_of_them_the_worst_f
 
 
 def test_angles_that_count_from_nowhere_are_not_shown():
-    table = list_buses({"area1": a_state(referenced=False)})
+    table = list_buses({"area1": a_state(referenced=False)}, {})
     assert np.isnan(table.va_deg[0])
     assert table.vm_pu.tolist() == [1.0]
 
@@ -114,13 +114,13 @@ def test_of_a_known_grid_every_bus_and_every_silent_meter_has_its_row():
         buses=tuple(reversed([bus.id for bus in area.network.buses])),
         **dict(zip(("vm", "va", "sigma_vm", "sigma_va"), (*flat, sigmas, sigmas), strict=True)),
     )
-    buses, branches = known.buses_and_branches({"area2": state, "area1": a_state(buses=(99,))})
+    buses, branches = known.buses_and_branches({"area2": state, "area1": a_state(buses=(99,))}, {})
     assert len(buses) == 13
     assert len(branches) == len(scenario.network.branches)
     assert buses.vm_kv[buses.bus == 1] == 69.0
     assert np.isnan(buses.vm_pu[buses.bus == 9])[0]  # what a stranger said of bus 99 counts for nothing
     used = replace(USED, meters=("vm@1", "vm@999"))
-    meters = known.meters({"area2": state}, {"area2": used})
+    meters = Table("meters", known.collect_meters({"area2": state}, {"area2": used}, {}))
     assert len(meters) == sum(m.source != "virtual" for m in scenario.meters)
     assert (meters.meter[0], meters.status[0], meters.unit[0]) == ("vm@1", "used", "pu")
     assert set(zip(meters.area[1:], meters.status[1:], strict=True)) == {("area1", "not received"), ("area2", "silent")}
@@ -129,12 +129,14 @@ def test_of_a_known_grid_every_bus_and_every_silent_meter_has_its_row():
 def test_the_columns_that_fit_a_terminal_are_those_one_looks_for():
     scenario = load_scenario("industrial13")
     known, watcher = GridTables(scenario), watching(a_state())
-    buses, _ = known.buses_and_branches(watcher.states)
-    meters = worst_first(known.meters(watcher.states, {"area1": replace(USED, meters=("vm@1", "vm@3"))}))
+    used = {"area1": replace(USED, meters=("vm@1", "vm@3"))}
+    buses, _ = known.buses_and_branches(watcher.states, {})
+    meters = worst_first(Table("meters", known.collect_meters(watcher.states, used, {})))
     shown = known_columns(format_view(watcher.look(0.0), [meters]), "meter")
     assert shown[:5] == ["meter", "area", "status", "normalised_residual", "reading"]
     assert "estimate" in shown
-    assert not {"name", "phase"} & {*known_columns(format_view(watcher.look(0.0), [list_buses(watcher.states)]), "bus")}
+    listed = format_view(watcher.look(0.0), [list_buses(watcher.states, {})])
+    assert "name" not in known_columns(listed, "bus")
     assert "p_kw" not in known_columns(format_view(watcher.look(0.0), [buses]), "bus")  # nothing is known of it here
 
 
@@ -149,7 +151,7 @@ def test_json_has_all_that_the_text_has_and_unknown_numbers_are_null():
     watcher = watching(a_state(referenced=False))
     described = describe_view(watcher.look(0.0))["areas"]["area1"]
     assert described["worst_meter"] == {"value": 5.2, "at": "vm@1"}
-    tables = describe_tables({"buses": list_buses(watcher.states)})
+    tables = describe_tables({"buses": list_buses(watcher.states, {})})
     assert tables["buses"]["va_deg"] == [None]
 
 
@@ -206,7 +208,8 @@ def many(areas: int, buses: int) -> Watcher:
 @pytest.mark.parametrize("areas", [1, 3, 40])
 def test_nothing_is_cut_off_by_a_terminal_without_being_counted(width: int, height: int, areas: int):
     watcher = many(areas, 30)
-    tables = [list_buses(watcher.states), list_meters(watcher.states, watcher.readings)]
+    found = find_tables(watcher, watcher.look(0.0), None)
+    tables = [found.buses, Table("meters", found.meters)]
     lines = [text for text, _ in fit_view(watcher.look(0.0), tables, width, height)]
     assert len(lines) <= height
     assert max(map(len, lines)) <= width
@@ -224,7 +227,7 @@ def test_areas_that_are_not_good_come_first_where_not_all_fit():
 
 
 def test_the_buses_that_are_shown_are_those_whose_voltages_are_farthest_off():
-    table = list_buses(many(1, 51).states)
+    table = list_buses(many(1, 51).states, {})
     lines = list(write_table(table, 80, 4))
     assert [line.split()[0] for line in lines[1:-1]] == ["0", "1", "49", "50"]
     assert lines[-1] == "... and 47 rows more: --once shows all"

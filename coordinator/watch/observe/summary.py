@@ -1,0 +1,135 @@
+"""Summary of a grid at one moment, for tiles, lines and metrics: its numbers of the present beside their limits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from coordinator.watch.observe.grid_tables import OFF, REMOVED, SILENT, UNKNOWN, GridTables, Tables
+from coordinator.watch.observe.view import Extreme
+from dsse_core.estimation.state_limits import DEFAULT_OPERATING_LIMITS, OperatingLimits
+from dsse_core.results.table import Table
+
+MOST_WORST = 4  # violations of one limit that are named
+UNUSED = (REMOVED, SILENT, OFF, UNKNOWN)  # meters without an influence on the estimate
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """A quantity over the grid: ``known`` of ``total`` numbers are fresh, ``outside`` of these exceed a limit.
+
+    ``worst``: the first ``MOST_WORST`` of those outside, the farthest first.
+    """
+
+    known: int = 0
+    total: int = 0
+    outside: int = 0
+    worst: tuple[Extreme, ...] = ()
+    lowest: Extreme | None = None
+    highest: Extreme | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Power:
+    """A sum over the ``known`` of ``total`` parts; None where no part is known."""
+
+    known: int = 0
+    total: int = 0
+    p_kw: float | None = None
+    q_kvar: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Voltage of buses in p.u., loading in percent and current in A of branches in service, normalised residuals of
+    meters in use; powers: injection of the substation, losses, loads and generation of the other buses by the sign of
+    their injections. Only voltage and residual are known without a scenario.
+    """
+
+    voltage: Extent
+    residual: Extent
+    loading: Extent = Extent()
+    current: Extent = Extent()
+    head: Power = Power()
+    loss: Power = Power()
+    load: Power = Power()
+    generation: Power = Power()
+
+
+def summarise(tables: Tables, known: GridTables | None) -> Summary:
+    """The summary of ``tables``, with the limits of operation of the scenario if its grid is ``known``."""
+    limits = known.scenario.operating_limits if known else DEFAULT_OPERATING_LIMITS
+    voltage, residual = _find_voltage(tables.buses, limits), _find_residual(tables.meters, limits)
+    if known is None or tables.branches is None:
+        return Summary(voltage, residual)
+    buses, branches = tables.buses, tables.branches
+    ids, fresh, used = branches.branch, branches.fresh, branches.in_service
+    rated = used & known.is_rated
+    current = np.fmax(branches.i_from_a, branches.i_to_a)
+    slack = known.scenario.network.slack
+    at_head = buses.bus == slack.bus if slack else np.zeros(len(buses), dtype=bool)
+    p, q = np.where(buses.fresh, [buses.p_kw, buses.q_kvar], np.nan)
+    elsewhere, loss = ~at_head, np.where(fresh, [branches.loss_kw, branches.loss_kvar], np.nan)
+    return Summary(
+        voltage,
+        residual,
+        _find_extent(ids, branches.loading_percent, fresh, rated, high=limits.most_loading_percent),
+        _find_extent(ids, current, fresh, used),
+        head=_add_up(p, q, at_head),
+        loss=_add_up(loss[0], loss[1], used),
+        load=_add_up(np.maximum(-p, 0.0), np.maximum(-q, 0.0), elsewhere),
+        generation=_add_up(np.maximum(p, 0.0), np.maximum(q, 0.0), elsewhere),
+    )
+
+
+def _find_voltage(buses: Table, limits: OperatingLimits) -> Extent:
+    """Extent of the voltages of all nodes; where several areas show a node, a fresh number counts."""
+    rows: dict[tuple[int, str], int] = {}
+    ids = buses.bus.tolist()
+    for k in np.argsort(~buses.fresh, kind="stable").tolist():
+        rows.setdefault((ids[k], buses.phase[k]), k)
+    at, every = np.array([*rows.values()], dtype=np.int64), np.ones(len(rows), dtype=bool)
+    band = limits.lowest_vm, limits.highest_vm
+    return _find_extent([bus for bus, _ in rows], buses.vm_pu[at], buses.fresh[at], every, *band)
+
+
+def _find_residual(meters: dict[str, Any], limits: OperatingLimits) -> Extent:
+    used = np.array([status not in UNUSED for status in meters["status"]], dtype=bool)
+    return _find_extent(
+        meters["meter"], meters["normalised_residual"], meters["fresh"], used, high=limits.most_residual
+    )
+
+
+def _find_extent(
+    ids: Sequence[object],
+    values: np.ndarray,
+    fresh: np.ndarray,
+    counted: np.ndarray,
+    low: float = -np.inf,
+    high: float = np.inf,
+) -> Extent:
+    """Extent of ``values`` (n,) of the rows that are ``counted``, of which those ``fresh`` and not nan are known."""
+    rows = np.flatnonzero(counted & fresh & ~np.isnan(values))
+    total = int(counted.sum())
+    if not rows.size:
+        return Extent(0, total)
+    known = values[rows]
+    far = np.maximum(known - high, low - known)
+    outside = np.flatnonzero(far > 0)
+    worst = outside[np.argsort(-far[outside], kind="stable")][:MOST_WORST]
+
+    def at(k: int) -> Extreme:
+        return Extreme(float(known[k]), str(ids[int(rows[k])]))
+
+    ends = at(int(known.argmin())), at(int(known.argmax()))
+    return Extent(len(rows), total, len(outside), tuple(at(k) for k in worst.tolist()), *ends)
+
+
+def _add_up(p: np.ndarray, q: np.ndarray, parts: np.ndarray) -> Power:
+    """Sums over the known ``parts``."""
+    rows = parts & ~np.isnan(p)
+    known, total = int(rows.sum()), int(parts.sum())
+    return Power(known, total, float(p[rows].sum()), float(q[rows].sum())) if known else Power(0, total)
