@@ -201,6 +201,7 @@ class ScanColumns:
 
     scan: Texts
     time: Times
+    """its name, and its time where the name states one"""
     status: Texts
     """`estimated`, `failed`"""
     readings: Integers

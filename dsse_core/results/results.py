@@ -105,6 +105,7 @@ def results_of_estimate(
     meters: Sequence[Meter] | None = None,
     truth: PowerFlowResult | None = None,
     label: ScanLabel = NO_SCAN,
+    quality: str = "",
 ) -> Results:
     """The tables of a centralised estimate, with standard deviations of all quantities.
 
@@ -114,6 +115,7 @@ def results_of_estimate(
             removed ones.
         truth: a power flow to show beside the estimate.
         label: of the scan.
+        quality: of all areas.
     """
     result = found.result if isinstance(found, BadDataReport) else found
     state = find_state(result.network, result.vm, result.va)
@@ -121,8 +123,25 @@ def results_of_estimate(
     division = find_division(result.network, partition)
     deviations = find_deviations(result, division, state.branches)
     return assemble_results(
-        state, deviations, compared, partial(readings_of_estimate, found, meters), division, label=label
+        state,
+        deviations,
+        compared,
+        partial(readings_of_estimate, found, meters),
+        division,
+        None,
+        [quality] * len(division.names),
+        label,
     )
+
+
+def results_without_estimate(
+    network: Network, partition: Partition | None, readings: MeterReadings, label: ScanLabel, quality: str
+) -> Results:
+    """The tables of a scan whose ``readings`` have no estimate: all that follows from one is nan."""
+    n, division = len(network.buses), find_division(network, partition)
+    state = find_state(network, *np.full((2, n), np.nan))
+    qualities = [quality] * len(division.names)
+    return assemble_results(state, no_deviations(network, division), {}, readings, division, None, qualities, label)
 
 
 def results_of_power_flow(

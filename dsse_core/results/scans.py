@@ -1,70 +1,90 @@
-"""Tables of many scans of one grid: a row for each scan, and a row for each bus of each scan."""
+"""Tables of many scans of one grid: a row for each scan, and the rows of the other tables of all scans."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
 from typing import ClassVar
 
 import numpy as np
 
 from dsse_core.estimation.batch import BatchResult
-from dsse_core.results.table import PHASE, Table
-from dsse_core.results.units import base_kv, wrap_degrees
+from dsse_core.results.columns import ScanColumns
+from dsse_core.results.results import TABLES, Results, WithTables
+from dsse_core.results.table import Table, as_times
 
 
 @dataclass(frozen=True)
-class ScanTables:
-    """The tables. ``scans``: the end of each estimate; ``buses``: its voltages, nan where there is no estimate."""
+class ScanTables(WithTables):
+    """The tables. ``scans``: the end of each estimate. ``make_results``: function that makes the tables of each scan,
+    in order; at the first use of one of them.
+    """
 
-    names: ClassVar = ("scans", "buses")
+    names: ClassVar = ("scans", *TABLES)
     scans: Table
-    buses: Table
+    make_results: Callable[[], Sequence[Results]]
+
+    @cached_property
+    def tables(self) -> Results:
+        """The rows of all scans."""
+        by_name: dict[str, list[Table]] = {name: [] for name in TABLES}
+        for results in self.make_results():
+            for name, tables in by_name.items():
+                tables.append(getattr(results, name))
+        buses, branches, meters, areas = (_stack(name, tables) for name, tables in by_name.items())
+        return Results(buses, branches, lambda: meters, lambda: areas)
 
 
-def make_scan_tables(
+def _stack(title: str, tables: Sequence[Table]) -> Table:
+    """The rows of ``tables``, which have the same columns, one table after the other."""
+    columns = {}
+    for name in tables[0].columns:
+        parts = [table[name] for table in tables]
+        is_text = isinstance(parts[0], tuple)
+        columns[name] = tuple(chain.from_iterable(parts)) if is_text else np.concatenate(parts)
+    return Table(title, columns)
+
+
+def make_scan_table(
     names: Sequence[str],
+    times: np.ndarray,
     batch: BatchResult,
     limits: np.ndarray,
     readings: np.ndarray,
     removed: Mapping[int, Sequence[str]],
     undecided: Mapping[int, Sequence[str]],
     bad_data_left: np.ndarray,
-) -> ScanTables:
-    """The tables of the scans in ``batch``.
+) -> Table:
+    """The table of the scans in ``batch``.
 
-    ``names``: of the rows of ``batch``. (n_row,) each: ``limits`` of J, the number of ``readings``, and
-    ``bad_data_left``. ``removed``: row -> ids of the meters taken out; ``undecided``: row -> ids of the meters that the
-    readings do not tell from those.
+    ``names``: of the rows of ``batch``. (n_row,) each: ``times``, s since 1970 or nan, ``limits`` of J, the number of
+    ``readings``, and ``bad_data_left``. ``removed``: row -> ids of the meters taken out; ``undecided``: row -> ids of
+    the meters that the readings do not tell from those.
     """
-    n_row, n = batch.vm.shape
-    bus = batch.plan.network.table.bus_id
-    found = ~np.isnan(batch.vm[:, 0])
+    rows, bus = np.arange(len(batch.vm)), batch.plan.network.table.bus_id
+    found, failures = ~np.isnan(batch.vm[:, 0]), batch.failures
     lowest = np.argmin(np.where(np.isnan(batch.vm), np.inf, batch.vm), axis=1)
-    failures = batch.failures
-    scans: dict[str, np.ndarray | Sequence[str]] = {
-        "scan": names,
-        "status": ["failed" if row in failures else "estimated" for row in range(n_row)],
-        "readings": readings,
-        "objective": batch.objective,
-        "degrees_of_freedom": batch.degrees_of_freedom,
-        "chi_square_limit": limits,
-        "iterations": batch.iterations,
-        "removed": np.array([len(removed.get(row, ())) for row in range(n_row)], dtype=np.int64),
-        "removed_meters": [" ".join(removed.get(row, ())) for row in range(n_row)],
-        "undecided_meters": [" ".join(undecided.get(row, ())) for row in range(n_row)],
-        "bad_data_left": bad_data_left,
-        "lowest_vm_pu": batch.vm[np.arange(n_row), lowest],
-        "lowest_vm_bus": np.where(found, bus[lowest], np.nan),
-        "failure": [str(failures[row].code) if row in failures else "" for row in range(n_row)],
-        "reason": [failures[row].text if row in failures else "" for row in range(n_row)],
-    }
-    buses: dict[str, np.ndarray | Sequence[str]] = {
-        "scan": [name for name in names for _ in range(n)],
-        "bus": np.tile(bus, n_row),
-        "phase": [PHASE] * (n_row * n),
-        "vm_pu": batch.vm.ravel(),
-        "va_deg": wrap_degrees(batch.va.ravel()),
-        "vm_kv": (batch.vm * base_kv(batch.plan.network)).ravel(),
-    }
-    return ScanTables(Table("scans", scans), Table("buses of scans", buses))
+    highest = np.argmax(np.where(np.isnan(batch.vm), -np.inf, batch.vm), axis=1)
+    columns = ScanColumns(
+        scan=names,
+        time=as_times(times),
+        status=["failed" if row in failures else "estimated" for row in rows.tolist()],
+        readings=readings,
+        objective=batch.objective,
+        degrees_of_freedom=batch.degrees_of_freedom,
+        chi_square_limit=limits,
+        iterations=batch.iterations,
+        removed=np.array([len(removed.get(row, ())) for row in rows.tolist()], dtype=np.int64),
+        removed_meters=[" ".join(removed.get(row, ())) for row in rows.tolist()],
+        undecided_meters=[" ".join(undecided.get(row, ())) for row in rows.tolist()],
+        bad_data_left=bad_data_left,
+        lowest_vm_pu=batch.vm[rows, lowest],
+        lowest_vm_bus=np.where(found, bus[lowest], np.nan),
+        highest_vm_pu=batch.vm[rows, highest],
+        highest_vm_bus=np.where(found, bus[highest], np.nan),
+        failure=[str(failures[row].code) if row in failures else "" for row in rows.tolist()],
+        reason=[failures[row].text if row in failures else "" for row in rows.tolist()],
+    )
+    return Table("scans", vars(columns))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from agents.protocol.quality import DEGRADED, GOOD, NONE
 from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data_with_plan
 from dsse_core.estimation.batch import BatchResult, RowFailure, describe_failure, estimate_batch
@@ -17,8 +18,11 @@ from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, find_de
 from dsse_core.grid.columns import Records, read_column, take_items
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.meter_table import find_virtual, join_meters
+from dsse_core.grid.partition import Partition
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
-from dsse_core.results.scans import ScanTables, make_scan_tables
+from dsse_core.results.results import MeterReadings, Results, results_of_estimate, results_without_estimate
+from dsse_core.results.scans import ScanTables, make_scan_table
+from dsse_core.results.table import ScanLabel
 from scenarios.check import plan_whole_grid
 from scenarios.files.readings.file import Scans, load_scans
 from scenarios.scenario import Scenario, TelemetrySettings, find_virtual_problems
@@ -45,16 +49,21 @@ class ScanEstimates:
     """``batch``: the estimate of each scan, its bad data removed. ``removed``: row -> ids of the removed meters;
     ``undecided``: row -> ids of meters that the readings cannot distinguish from these.
 
-    ``bad_data_left`` (n_scan,): True where J exceeds the chi-square limit after the removal. ``present`` (n_scan,):
-    number of readings of each scan.
+    ``bad_data_left`` (n_scan,): True where J exceeds the chi-square limit after the removal. ``rows``: the readings.
     """
 
-    names: tuple[str, ...]
+    partition: Partition
+    scans: Scans
+    rows: ScanRows
     batch: BatchResult
     removed: Mapping[int, tuple[str, ...]]
     undecided: Mapping[int, tuple[str, ...]]
     bad_data_left: np.ndarray
-    present: np.ndarray
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the scans."""
+        return self.scans.names
 
     @cached_property
     def limits(self) -> np.ndarray:
@@ -63,13 +72,45 @@ class ScanEstimates:
 
     @cached_property
     def tables(self) -> ScanTables:
-        """Tables with a row for each scan, and for each bus of each scan."""
+        """A row for each scan, and the tables of all scans, which are those of each scan alone."""
+        readings = (~np.isnan(self.scans.values)).sum(axis=1)
         of_meters = self.removed, self.undecided, self.bad_data_left
-        return make_scan_tables(self.names, self.batch, self.limits, self.present, *of_meters)
+        scans = make_scan_table(self.names, self.scans.times, self.batch, self.limits, readings, *of_meters)
+        return ScanTables(scans, lambda: [self._results_of(row) for row in range(len(self.names))])
+
+    def _results_of(self, row: int) -> Results:
+        label = ScanLabel(self.names[row], self.scans.times[row])
+        meters, network = self.rows.plan.meters, self.batch.plan.network
+        if row in self.batch.failures:
+            unknown = np.full(len(meters), np.nan)
+            readings = MeterReadings(meters, self.rows.values[row], self.rows.sigmas[row], unknown, {}, ())
+            return results_without_estimate(network, self.partition, readings, label, NONE)
+        quality = DEGRADED if self.bad_data_left[row] else GOOD
+        report = self.rows.estimate(row)
+        return results_of_estimate(report, partition=self.partition, meters=meters, label=label, quality=quality)
 
     def describe_failures(self) -> list[str]:
         """Name and reason of every scan without an estimate."""
         return [f"scan {self.names[row]}: {failure.text}" for row, failure in self.batch.failures.items()]
+
+
+@dataclass(frozen=True)
+class ScanRows:
+    """Readings of each scan, those of virtual meters included: ``values``, ``sigmas`` (n_scan, n_meas), of the meters
+    of ``plan``.
+    """
+
+    plan: EstimationPlan
+    values: np.ndarray
+    sigmas: np.ndarray
+    tolerance: float
+
+    def estimate(self, row: int) -> BadDataReport:
+        """The estimate of a scan by itself, its bad data removed; raises as ``process_bad_data_with_plan``."""
+        missing = np.isnan(self.values[row])
+        plan = self.plan.without(np.flatnonzero(missing).tolist()) if missing.any() else self.plan
+        values, sigmas = self.values[row][~missing], self.sigmas[row][~missing]
+        return process_bad_data_with_plan(plan, values, sigmas, tolerance=self.tolerance)
 
 
 def load_scans_of(scenario: Scenario, path: Path) -> Scans:
@@ -116,41 +157,33 @@ def estimate_scans(scenario: Scenario, scans: Scans) -> ScanEstimates:
     of_virtual = np.zeros((len(scans.names), len(plan.meters) - len(scans.meters)))
     values = np.concatenate([scans.values, of_virtual], axis=1)
     sigmas = np.concatenate([np.where(np.isnan(scans.sigmas), 1.0, scans.sigmas), of_virtual], axis=1)
-    batch = estimate_batch(plan, values, sigmas, tolerance=scenario.tolerances.estimator)
-    present = (~np.isnan(scans.values)).sum(axis=1)
-    found = ScanEstimates(scans.names, batch, {}, {}, np.zeros(len(scans.names), dtype=bool), present)
+    rows = ScanRows(plan, values, sigmas, scenario.tolerances.estimator)
+    batch = estimate_batch(plan, values, sigmas, tolerance=rows.tolerance)
+    found = ScanEstimates(scenario.partition, scans, rows, batch, {}, {}, np.zeros(len(scans.names), dtype=bool))
     suspect = batch.objective >= found.limits
     suspect |= [bool(find_dead(plan.meters, row)) for row in values]
-    cleaning = _Cleaning(plan, values, sigmas, scenario.tolerances.estimator, found)
+    cleaning = _Cleaning(found)
     for row in np.flatnonzero(suspect).tolist():
         cleaning.clean(row)
     failures = {row: cleaning.failures[row] for row in sorted(cleaning.failures)}
-    return replace(
-        found, batch=replace(batch, failures=failures), removed=cleaning.removed, undecided=cleaning.undecided
-    )
+    cleaned = replace(batch, failures=failures)
+    return replace(found, batch=cleaned, removed=cleaning.removed, undecided=cleaning.undecided)
 
 
 class _Cleaning:
     """Bad-data processing of single scans, which writes its results into the arrays of ``found``."""
 
-    def __init__(
-        self, plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, tolerance: float, found: ScanEstimates
-    ) -> None:
-        self._plan, self._values, self._sigmas, self._tolerance = plan, values, sigmas, tolerance
+    def __init__(self, found: ScanEstimates) -> None:
         self._found = found
         self.failures: dict[int, RowFailure] = dict(found.batch.failures)
         self.removed: dict[int, tuple[str, ...]] = {}
         self.undecided: dict[int, tuple[str, ...]] = {}
 
     def clean(self, row: int) -> None:
-        batch, values = self._found.batch, self._values[row]
-        missing = np.isnan(values)
+        batch = self._found.batch
         self.failures.pop(row, None)
         try:
-            plan = self._plan.without(np.flatnonzero(missing).tolist()) if missing.any() else self._plan
-            report = process_bad_data_with_plan(
-                plan, values[~missing], self._sigmas[row][~missing], tolerance=self._tolerance
-            )
+            report = self._found.rows.estimate(row)
         except (InvalidInputError, NotObservableError, EstimationDivergedError) as error:
             self.failures[row] = describe_failure(error)
             batch.vm[row] = batch.va[row] = batch.objective[row] = np.nan

@@ -10,8 +10,12 @@ from __future__ import annotations
 
 import csv
 import io
+import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +30,7 @@ from scenarios.files.readings.rows import ReadingRows
 from scenarios.files.readings.units import UNITS, WRITTEN_IN, unit_size
 from scenarios.files.readings.written import as_readings_text
 
+DATE = re.compile(r"\d{4}-\d\d-\d\d")
 MOST_PLACES = 50_000_000  # 400 MB each of values and standard deviations
 
 
@@ -46,6 +51,22 @@ class Scans:
     def are_named(self) -> bool:
         """True where the file has a column ``scan``."""
         return self.names != ("",)
+
+    @cached_property
+    def times(self) -> np.ndarray:
+        """Times of the scans, s since 1970, (n_scan,); nan where the name of a scan is no time."""
+        return np.array([read_time(name) for name in self.names])
+
+
+def read_time(text: str) -> float:
+    """The time that ``text`` states by ISO 8601, with date; UTC without a zone. Nan where it states none."""
+    if not DATE.match(text):
+        return math.nan
+    try:
+        time = datetime.fromisoformat(text)
+    except ValueError:
+        return math.nan
+    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
 
 
 def load_readings(path: Path, network: Network) -> Records[Measurement]:

@@ -4,13 +4,22 @@ import csv
 import io
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from coordinator.lab.evaluation.scan_estimates import (
+    estimate_scans,
+    estimate_whole_grid,
+    load_scans_of,
+    with_one_scan,
+)
 from dsse_core.estimation.bad_data import process_bad_data
-from dsse_core.grid.measurement import Measurement, Source
+from dsse_core.grid.measurement import Measurement, Meter, Source
+from dsse_core.results.results import TABLES, results_of_estimate
+from dsse_core.results.table import Table
 from scenarios.files.readings.file import save_readings
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
@@ -56,6 +65,68 @@ def test_each_scan_has_the_estimate_that_it_has_alone(tmp_path: Path, dsse: Dsse
         found = [float(bus["vm_pu"]) for bus in buses if bus["scan"] == name]
         np.testing.assert_allclose(found, alone.result.vm, rtol=0, atol=1e-9)
     assert table_of(out)[2]["removed"] != "0"
+
+
+def test_the_tables_of_many_scans_are_those_of_each_scan_alone_to_the_bit(tmp_path: Path) -> None:
+    spoilt = [replace(m, value=m.value + 30 * m.sigma * (k == 5)) for k, m in enumerate(readings_of(3))]
+    scans = {"2026-11-26T10:00Z": readings_of(1), "2026-11-26T10:15Z": readings_of(2)[:-1], "third": spoilt}
+    many = estimate_scans(SCENARIO, load_scans_of(SCENARIO, write_scans(tmp_path, scans))).tables
+    assert len(many.scans) == 3
+    for k, (name, readings) in enumerate(scans.items()):
+        save_readings(tmp_path / "one.csv", SCENARIO.network, readings)
+        loaded = with_one_scan(SCENARIO, load_scans_of(SCENARIO, tmp_path / "one.csv"))
+        alone = results_of_estimate(
+            estimate_whole_grid(loaded)[0], partition=SCENARIO.partition, meters=many_meters(many.meters)
+        )
+        for title in TABLES:
+            whole, one = getattr(many, title), getattr(alone, title)
+            here = slice(k * len(one), (k + 1) * len(one))
+            assert len(whole) == 3 * len(one)
+            assert whole.columns == one.columns
+            assert set(whole.scan[here]) == {name}
+            for column in set(one.columns) - {"scan", "time", "quality"}:
+                assert np.array_equal(whole[column][here], one[column], equal_nan=is_number(one[column])), column
+    assert many.buses.time[0] == np.datetime64("2026-11-26T10:00:00.000")
+    assert np.isnat(many.buses.time[-1])
+    assert set(many.meters.status[: len(many.meters) // 3]) == {"used"}
+    assert many.meters.status.count("silent") == many.meters.status.count("removed") == 1
+    assert set(many.areas.quality) == {"good"}
+
+
+def many_meters(meters: Table) -> list[Meter]:
+    ids = dict.fromkeys(meters.meter)
+    by_id = {meter.id: meter for meter in SCENARIO.meters}
+    return [by_id[each] for each in ids]
+
+
+def is_number(column: object) -> bool:
+    return isinstance(column, np.ndarray) and column.dtype.kind == "f"
+
+
+def test_a_scan_without_estimate_has_its_readings_and_nothing_that_follows(tmp_path: Path) -> None:
+    few = [m for m in readings_of(2) if m.meter.kind == "vm"]
+    path = write_scans(tmp_path, {"a": readings_of(1), "b": few})
+    many = estimate_scans(SCENARIO, load_scans_of(SCENARIO, path)).tables
+    assert np.isnan(many.buses.vm_pu[33:]).all()
+    assert not np.isnan(many.buses.vm_pu[:33]).any()
+    assert np.isnan(many.branches.p_from_kw[len(many.branches) // 2 :][SCENARIO.network.table.in_service]).all()
+    second = [k for k, scan in enumerate(many.meters.scan) if scan == "b"]
+    assert (~np.isnan(many.meters.value_pu[second])).sum() == len(few)
+    assert np.isnan(many.meters.estimate_pu[second]).all()
+    assert many.areas.quality == ("good",) * 3 + ("none",) * 3
+
+
+def test_tables_of_many_scans_are_written_and_the_meters_are_readings_again(tmp_path: Path, dsse: Dsse) -> None:
+    path = write_scans(tmp_path, {"2026-11-26T10:00": readings_of(1), "2026-11-26T10:15": readings_of(2)})
+    out = tmp_path / "out"
+    assert dsse("estimate", "ieee33", "--readings", str(path), "--out", str(out), "--parquet")[0] == 0
+    names = {"scans", "buses", "branches", "meters", "areas"}
+    assert {each.stem for each in out.glob("*.csv")} == {each.stem for each in out.glob("*.parquet")} == names
+    again = dsse("estimate", "ieee33", "--readings", str(out / "meters.csv"), "--csv", "scans")[1]
+    first, second = (table_of(text) for text in ((out / "scans.csv").read_text(), again))
+    for ours, theirs in zip(first, second, strict=True):
+        assert ours["time"] == theirs["time"] == theirs["scan"]
+        assert float(ours["objective"]) == pytest.approx(float(theirs["objective"]), rel=1e-9)
 
 
 def test_a_scan_without_estimate_is_named_and_the_others_are_estimated(tmp_path: Path, dsse: Dsse) -> None:
