@@ -14,6 +14,8 @@ from coordinator.lab.simulator.simulate import Simulation
 from coordinator.lab.strategy_check import check_with_strategy
 from dsse_core.errors import DsseError
 from dsse_core.estimation.bad_data import process_bad_data
+from dsse_core.grid.network import Network
+from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import Telemetry, make_telemetry
 
@@ -61,11 +63,14 @@ _UNSORTED: Mapping[str, Counterpart] = {
     **_of_areas("ieee33-thesis", What.UPDATED, {"5.22": "area2", "5.23": "area3"}),
     "5.24": Counterpart("ieee33-thesis", What.WHOLE),
 }
+BASES = {"5.9": "5.3", "5.10": "5.4", "5.11": "5.6", "5.12": "5.9", "5.24": "5.15"}
+"""Table -> the table that the thesis compares it with: areas with the centre, a load error with none."""
 COUNTERPARTS = {number: _UNSORTED[number] for number in sorted(_UNSORTED, key=lambda n: int(n.removeprefix("5.")))}
 """Number of the table, in the order of the thesis -> its counterpart."""
 
-States = Mapping[int, tuple[float, float]]
-"""Bus -> magnitude in p.u. and angle in degrees."""
+QUANTITIES = ("vm_pu", "va_deg", "load_mw", "load_mvar", "gen_mw", "gen_mvar")
+States = Mapping[int, tuple[float, ...]]
+"""Bus -> QUANTITIES; of an estimate, the first two."""
 
 
 class ThesisRuns:
@@ -85,15 +90,14 @@ class ThesisRuns:
         match counterpart.what:
             case What.POWER_FLOW:
                 assert telemetry.truth is not None  # these scenarios have no real readings
-                return _states(whole.row, telemetry.truth.vm, telemetry.truth.va)
+                return _power_flow(telemetry.truth, whole)
             case What.CENTRALISED:
                 return _estimate_from_exact_readings(counterpart.scenario)
             case What.WHOLE:
                 found = outcome.comparison.decentralised
                 return _states(whole.row, found.vm, found.va)
             case What.AREA_POWER_FLOW:
-                flow = telemetry.area_power_flows[counterpart.area]
-                return _states(flow.network.row, flow.vm, flow.va)
+                return _power_flow(telemetry.area_power_flows[counterpart.area], whole)
         area, published = partition.area(counterpart.area), outcome.comparison.by_area[counterpart.area]
         row = area.network.row
         offset = published.va[row[area.slack_bus]] if counterpart.what is What.LOCAL else 0.0
@@ -116,6 +120,20 @@ def _estimate_from_exact_readings(name: str) -> States:
     scenario = load_scenario(name, changes={"telemetry.source": "network"})
     result = process_bad_data(scenario.network, make_telemetry(scenario).union).result
     return _states(scenario.network.row, result.vm, result.va)
+
+
+def _power_flow(flow: PowerFlowResult, whole: Network) -> States:
+    """States, loads and generations. A bus without generator generates nothing, so its load is what it draws, of a
+    boundary bus with the areas beyond."""
+    sources, found = {generator.bus for generator in whole.generators}, {}
+    for bus, state in _states(flow.network.row, flow.vm, flow.va).items():
+        row = flow.network.row[bus]
+        drawn = -complex(flow.injection[row])
+        of_bus = flow.network.buses[row]
+        load = complex(of_bus.p_load, of_bus.q_load) if bus in sources else drawn
+        powers = [whole.base_mva * power for power in (load, load - drawn)]
+        found[bus] = (*state, *(part for power in powers for part in (power.real, power.imag)))
+    return found
 
 
 def _states(row: Mapping[int, int], vm: np.ndarray, va: np.ndarray) -> States:
