@@ -1,8 +1,9 @@
-"""Tables of keys and columns in the reference pages, written from their schemas: ``python docs/key_tables.py``.
+"""Tables of the reference pages, written from the code: ``python docs/key_tables.py``.
 
-A page has ``<!-- columns CLASS -->`` above a table of columns, one row for those that a string in the class explains
-together, and ``<!-- keys SCHEMA ... -->`` above each table of keys. Each schema adds the keys that
-it does not inherit. The meaning of a key is the string below its field, or without one the field's description.
+A page has ``<!-- columns CLASS -->`` above a table of columns, one row for those that one string in the class
+explains, ``<!-- commands -->`` above the commands of ``dsse``, ``<!-- keys SCHEMA ... -->`` above each table of keys.
+Each schema adds the keys that it does not inherit. The meaning of a key is the string below its field, or without one
+the field's description.
 """
 
 from __future__ import annotations
@@ -18,10 +19,13 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, get_args
 
+import click
 from pydantic.fields import FieldInfo
 
 from agents.area_files.tables import PlainKeys
 from agents.protocol.configuration import Configuration, plain_keys
+from coordinator.cli.command import DONE, ENDED, PARTS, list_leaves
+from coordinator.cli.main import commands
 from dsse_core import limits
 from dsse_core.files.strict_table import Table
 from dsse_core.results import columns
@@ -37,6 +41,9 @@ MODULES = (
 OF_AREA_FILES = {"AreaFile": "AreaTable", "AreaKeys": "PlainKeys"}  # a scenario's AreaTable has the same name
 MARKED = re.compile(r"<!-- keys (?P<names>[\w ]+) -->\n(?:\n(?:\|.*\n)+)?")
 COLUMNS_OF = re.compile(r"<!-- columns (?P<name>\w+) -->\n(?:\n(?:\|.*\n)+)?")
+COMMANDS = re.compile(r"<!-- commands -->\n(?:\n(?:\|.*\n)+)?")
+GENERATED = re.compile("<!-- (?:keys |columns |commands )")
+OF_ALL = (2, 130)  # exit codes
 TYPES = {
     "AreaSelection": '`"all"` or list of texts',
     "Areas": "tables",
@@ -80,7 +87,7 @@ def write_tables(text: str) -> str:
         head = "| Key | Type | Meaning |\n|---|---|---|"
         return "\n".join([f"<!-- keys {found['names']} -->", "", head, *rows, ""])
 
-    return COLUMNS_OF.sub(write_columns, MARKED.sub(write, text))
+    return COMMANDS.sub(lambda _: write_commands(), COLUMNS_OF.sub(write_columns, MARKED.sub(write, text)))
 
 
 def write_columns(found: re.Match[str]) -> str:
@@ -94,6 +101,31 @@ def write_columns(found: re.Match[str]) -> str:
             names.clear()
     assert not names, f"{found['name']}: no string explains {names}"
     return "\n".join([found[0].split("\n")[0], "", "| Columns | Meaning |\n|---|---|", *rows, ""])
+
+
+def write_commands() -> str:
+    """The table of all commands: arguments and required options, effect, ``--json``, exit codes."""
+    rows = ["<!-- commands -->", "", "| command | effect | `--json` | exit codes |", "|---|---|---|---|"]
+    leaves = list(list_leaves(commands))
+    for part, of_what in PARTS.items():
+        rows.append(f"| **{part}** {of_what} | | | |")
+        rows += [_write_command(words, leaf) for words, leaf in leaves if getattr(leaf, "part", "") == part]
+    return "\n".join([*rows, ""])
+
+
+def _write_command(words: tuple[str, ...], command: click.Command) -> str:
+    context = click.Context(command)
+    given = [p.make_metavar(context) for p in command.params if isinstance(p, click.Argument)]
+    needed = [
+        f"{p.opts[0]} {p.make_metavar(context)}" for p in command.params if isinstance(p, click.Option) and p.required
+    ]
+    has_json = any("--json" in p.opts for p in command.params)
+    codes = {code: meaning for code, meaning in getattr(command, "codes", {}).items() if code not in OF_ALL}
+    if codes.get(0) in (DONE, ENDED):
+        del codes[0]
+    shown = "; ".join(f"{code}: {meaning}" for code, meaning in codes.items())
+    line = " ".join(["dsse", *words, *given, *needed]).replace("|", "\\|")
+    return f"| `{line}` | {command.get_short_help_str(200).rstrip('.')} | {'yes' if has_json else ''} | {shown} |"
 
 
 def list_rows(table: type[Table]) -> Iterator[str]:

@@ -19,6 +19,7 @@ PARTS = {
 }
 LONGEST_LINE = 200  # letters, of what a list of commands says of one
 NO_CODES: Mapping[int, str] = MappingProxyType({})
+DONE, ENDED = "done", "ended by Ctrl-C or SIGTERM"
 WRONG_INPUT = "wrong input, or a place that cannot be written"
 
 
@@ -33,7 +34,7 @@ class Command(click.Command):
     ) -> None:
         super().__init__(*arguments, **options)
         self.part, self.serves = part, serves
-        end = "ended by Ctrl-C or SIGTERM" if serves else "done"
+        end = ENDED if serves else DONE
         last = {} if serves else {INTERRUPTED_CODE: "interrupted, by Ctrl-C or a signal"}
         self.codes = dict(sorted({0: end, 2: WRONG_INPUT, **last, **codes}.items()))
 

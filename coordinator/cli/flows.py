@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from coordinator.cli.command import INSPECT, command
-from coordinator.cli.terminal import connect_option, keys_option, notify, show, wait_option
+from coordinator.cli.terminal import connect_option, json_option, keys_option, notify, show, wait_option
 from coordinator.watch.interrupts import end_orderly_on_signals
 from dsse_core.endpoints import add_protocol
 
@@ -24,7 +24,7 @@ TABLES = ("buses", "branches")
 @click.argument("area_file", type=click.Path(path_type=Path))
 @connect_option(default="[default: where the area file says]")
 @keys_option
-@click.option("--json", "as_json", is_flag=True, help="Print both tables as JSON instead.")
+@json_option
 @click.option("--csv", type=click.Choice(TABLES), metavar="TABLE", help=f"Print one as CSV: {', '.join(TABLES)}.")
 @wait_option
 def flows(

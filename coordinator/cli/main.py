@@ -24,10 +24,12 @@ from coordinator.cli.outputs import Output, check_parquet_option, hand_over, out
 from coordinator.cli.processes import agent, compile_, keys_commands, plant, router, split
 from coordinator.cli.studies import compare, link_options, simulate, sweep, thesis
 from coordinator.cli.terminal import (
+    answer,
     answering_once,
     changed,
     end_output,
     finish_run,
+    json_option,
     notify,
     progress,
     quiet_option,
@@ -138,6 +140,7 @@ def commands() -> None:
 @set_option
 @link_options
 @parquet_option
+@json_option
 @click.option("--secure", is_flag=True, help="Certificates, TLS and access control, with keys made for this run.")
 @click.option("--keys", type=click.Path(path_type=Path), metavar="DIR", help="The same with the keys in DIR.")
 def run(
@@ -151,6 +154,7 @@ def run(
     changes: Mapping[str, object],
     links: LinkChanges,
     parquet: bool,
+    as_json: bool,
     secure: bool,
     keys: Path | None,
 ) -> int:
@@ -180,14 +184,15 @@ def run(
             secure=secure,
             keys=keys,
         )
-    return finish_run(result, formats, parquet)
+    return finish_run(result, formats, parquet, as_json)
 
 
 @command(TRY, short_help="Check a scenario or an area file without running it.")
 @scenario_argument
 @set_option
+@json_option
 @answering_once()
-def check(scenario: str, changes: Mapping[str, object]) -> None:
+def check(scenario: str, changes: Mapping[str, object], as_json: bool) -> None:
     """Check SCENARIO without running it: keys, network, areas, meters, observability of the grid and each area.
 
     An area file in its place is checked as `dsse agent` would.
@@ -198,6 +203,7 @@ def check(scenario: str, changes: Mapping[str, object]) -> None:
     """
     from agents.area_files.reader import load_area_file
     from agents.strategies.installed import list_strategies
+    from coordinator.lab.evaluation.answers import head_json
     from coordinator.lab.evaluation.evaluation import choose_scenario
     from coordinator.lab.strategy_check import check_with_strategy
     from coordinator.show.report.text import format_area_check, format_check
@@ -205,11 +211,17 @@ def check(scenario: str, changes: Mapping[str, object]) -> None:
     from dsse_core.files.strict_table import OtherKindError
 
     try:
-        show(format_check(check_with_strategy(choose_scenario(scenario, changes=changes))))
+        found = check_with_strategy(choose_scenario(scenario, changes=changes))
+        areas = {area.name: [bus.id for bus in area.network.buses] for area in found.partition.areas}
+        content = head_json(found) | {"meters": len(found.meters), "areas": areas}
+        answer(as_json, content, format_check(found))
     except OtherKindError as error:
         if error.found is not AREA_FILE or changes:
             raise
-        show(format_area_check(load_area_file(Path(scenario), list_strategies())))
+        file = load_area_file(Path(scenario), list_strategies())
+        neighbours = [neighbour.area for neighbour in file.area.neighbours]
+        of_file = {"area": file.area.name, "run": file.run, "strategy": file.strategy, "neighbours": neighbours}
+        answer(as_json, of_file | {"is_sound": file.identity.is_sound}, format_area_check(file))
 
 
 @command(STUDY, short_help="Solve the power flow of the whole network.")

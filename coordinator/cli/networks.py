@@ -8,7 +8,7 @@ from typing import Literal
 import click
 
 from coordinator.cli.command import STUDY, TRY, Command, command, group, removed_option
-from coordinator.cli.terminal import Number, next_run, scenario_argument, show
+from coordinator.cli.terminal import Number, answer, json_option, next_run, scenario_argument, show
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LARGEST_SEED
 from dsse_core.printable import printable
@@ -27,7 +27,10 @@ MAX_DEFAULT_AREAS = 8
 )
 @click.option("--out", type=click.Path(path_type=Path), help="Draw the areas into this file (.png, .pdf, .svg).")
 @click.option("--toml", is_flag=True, help="Print the areas as bus lists, to paste into a scenario file.")
-def partition(scenario: str, count: int | None, switches: tuple[str, ...], out: Path | None, toml: bool) -> None:
+@json_option
+def partition(
+    scenario: str, count: int | None, switches: tuple[str, ...], out: Path | None, toml: bool, as_json: bool
+) -> None:
     """Show the areas of SCENARIO, or those that another cut of its network makes: table, picture or bus lists.
 
     \b
@@ -50,19 +53,29 @@ def partition(scenario: str, count: int | None, switches: tuple[str, ...], out: 
         named = [name.strip() for text in switches for name in text.split(",") if name.strip()]
         changes = {"areas": {"switches": named}, "faults": {}}
     loaded = load_scenario(scenario, strategies=list_strategies(), changes=changes)
-    show(format_area_tables(loaded.partition) if toml else format_areas(loaded))
+    areas = {area.name: [bus.id for bus in area.network.buses] for area in loaded.partition.areas}
+    text = format_area_tables(loaded.partition) if toml else format_areas(loaded)
+    answer(as_json, {"network": loaded.network.name, "areas": areas, "picture": out}, text)
     if out is not None:
         from coordinator.show.figures.draw_areas import draw_areas
 
         out.parent.mkdir(parents=True, exist_ok=True)
         draw_areas(loaded.partition, out)
-        if not toml:
+        if not (toml or as_json):
             show(f"picture: {out}")
 
 
 @command(STUDY, short_help="Make up a radial feeder and a scenario on it.")
-@click.option("--buses", "n_bus", type=click.IntRange(min=2, max=1_000_000), required=True, help="How many buses.")
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for network.toml, scenario.toml.")
+@click.option(
+    "--buses", "n_bus", type=click.IntRange(min=2, max=1_000_000), metavar="N", required=True, help="How many buses."
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    required=True,
+    help="Folder for network.toml, scenario.toml.",
+)
 @click.option(
     "--seed",
     type=click.IntRange(min=0, max=LARGEST_SEED),
@@ -84,6 +97,7 @@ def partition(scenario: str, count: int | None, switches: tuple[str, ...], out: 
     help="standard: flows on all branches; sparse: where trunks and laterals begin.",
 )
 @click.option("--pv", "n_pv", type=click.IntRange(min=0), default=0, show_default=True, help="How many PV generators.")
+@json_option
 def generate(
     n_bus: int,
     out: Path,
@@ -92,6 +106,7 @@ def generate(
     lowest_vm: float,
     meters: Literal["standard", "sparse"],
     n_pv: int,
+    as_json: bool,
 ) -> None:
     """Make up a radial medium-voltage feeder with typical values, and a scenario that runs on it.
 
@@ -111,12 +126,19 @@ def generate(
     if n_area is None:
         n_area = min(MAX_DEFAULT_AREAS, max(1, n_bus // BUSES_OF_AN_AREA))
     path = write_generated(out, n_bus, seed, n_area=n_area, lowest_vm=lowest_vm, n_pv=n_pv, meters=meters)
-    show(f"{out / network_file}\n{path}\n{next_run(path)}")
+    files = [out / network_file, path]
+    answer(as_json, {"files": files, "scenario": path}, "\n".join([*map(str, files), next_run(path)]))
 
 
 @command(STUDY, "import", short_help="Take over a network from MATPOWER, pandapower or power-grid-model.")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for network.toml, scenario.toml.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    required=True,
+    help="Folder for network.toml, scenario.toml.",
+)
 @click.option("--areas", "n_area", type=click.IntRange(min=1), default=1, show_default=True, help="How many areas.")
 @click.option("--name", help="Name of the network.  [default: its own, else that of the file]")
 @click.option(
@@ -128,7 +150,8 @@ def generate(
     metavar="HZ",
     help="For power-grid-model, whose files do not hold it.",
 )
-def import_file(file: Path, out: Path, n_area: int, name: str | None, frequency_hz: float) -> None:
+@json_option
+def import_file(file: Path, out: Path, n_area: int, name: str | None, frequency_hz: float, as_json: bool) -> None:
     """Take over FILE, a MATPOWER case (.m), pandapower network or power-grid-model input (.json), as a scenario.
 
     Writes network.toml (or .json, if large), scenario.toml, import.txt and, where FILE has measurements, readings.csv.
@@ -141,7 +164,7 @@ def import_file(file: Path, out: Path, n_area: int, name: str | None, frequency_
 
     imported = import_grid(file, name=name, frequency_hz=frequency_hz)
     path, summary = write_imported(out, imported, n_area, lambda scenario: _check(scenario, file))
-    show(f"{summary}\n{next_run(path)}")
+    answer(as_json, {"summary": summary, "scenario": path}, f"{summary}\n{next_run(path)}")
 
 
 def _check(path: Path, source: Path) -> None:
@@ -160,8 +183,9 @@ def _check(path: Path, source: Path) -> None:
 
 
 @group(TRY, "scenarios", invoke_without_command=True)
+@json_option
 @click.pass_context
-def scenarios_commands(context: click.Context) -> None:
+def scenarios_commands(context: click.Context, as_json: bool) -> None:
     """List the shipped scenarios, show one, or copy one to change it.
 
     \b
@@ -175,27 +199,31 @@ def scenarios_commands(context: click.Context) -> None:
 
     listed = list_scenarios()
     width = max(len(name) for name, _ in listed)
-    for name, description in listed:
-        show(f"{name:{width}}  {printable(description)}")
+    lines = [f"{name:{width}}  {printable(description)}" for name, description in listed]
+    answer(as_json, {"scenarios": dict(listed)}, "\n".join(lines))
 
 
 @scenarios_commands.command(name="show", cls=Command, part=TRY, short_help="Print the file of a shipped scenario.")
 @click.argument("name")
-def show_scenario(name: str) -> None:
+@json_option
+def show_scenario(name: str, as_json: bool) -> None:
     """Print the commented file of the shipped scenario NAME.
 
     \b
     Example:  dsse scenarios show ieee33
     """
+    from dsse_core.files.bounded_parsing import parse_toml
     from scenarios.files.shipped_files import find_scenario
 
-    show(find_scenario(name).read_text(encoding="utf-8").rstrip("\n"))
+    text = find_scenario(name).read_text(encoding="utf-8")
+    answer(as_json, parse_toml(text), text.rstrip("\n"))
 
 
 @scenarios_commands.command(cls=Command, part=TRY, short_help="Copy a shipped scenario with its network into a folder.")
 @click.argument("name")
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
-def copy(name: str, folder: Path) -> None:
+@json_option
+def copy(name: str, folder: Path, as_json: bool) -> None:
     """Copy the shipped scenario NAME to DIR/NAME.toml and its network to DIR/network.toml; files there stay.
 
     \b
@@ -203,4 +231,5 @@ def copy(name: str, folder: Path) -> None:
     """
     from scenarios.files.shipped_files import copy_scenario
 
-    show(printable(next_run(copy_scenario(name, folder))))
+    path = copy_scenario(name, folder)
+    answer(as_json, {"scenario": path}, printable(next_run(path)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ from click.core import ParameterSource
 
 from coordinator.cli.command import OPERATE, Command, command, group
 from coordinator.cli.live.address import address_options
-from coordinator.cli.terminal import notify, show
+from coordinator.cli.terminal import answer, json_option, notify
 from coordinator.watch.interrupts import end_orderly_on_signals
 from coordinator.watch.observe.run_address import RunAddress
 from dsse_core.printable import printable
@@ -60,47 +60,55 @@ def meter() -> None:
 @meter.command(cls=Command, part=OPERATE, short_help="Leave the readings of meters out.")
 @click.argument("meters", metavar="ID...", nargs=-1, required=True)
 @operator_options
-def off(meters: tuple[str, ...], join: Joining) -> None:
+@json_option
+def off(meters: tuple[str, ...], join: Joining, as_json: bool) -> None:
     """Leave the readings of the meters out, from now on and after restarts, until `dsse meter on`.
 
     \b
     Example:  dsse meter off vm@22 vm@30
     """
     with join() as operator:
-        for name, area in operator.switch_off(meters).items():
-            show(printable(f"{area}: {name} is off"))
+        _answer_meters(operator.switch_off(meters), "off", as_json)
 
 
 @meter.command(cls=Command, part=OPERATE, short_help="Use the readings of meters again.")
 @click.argument("meters", metavar="ID...", nargs=-1, required=True)
 @operator_options
-def on(meters: tuple[str, ...], join: Joining) -> None:
+@json_option
+def on(meters: tuple[str, ...], join: Joining, as_json: bool) -> None:
     """Use the readings of meters again that are off.
 
     \b
     Example:  dsse meter on vm@30
     """
     with join() as operator:
-        for name, area in operator.switch_on(meters).items():
-            show(printable(f"{area}: {name} is on"))
+        _answer_meters(operator.switch_on(meters), "on", as_json)
+
+
+def _answer_meters(areas: Mapping[str, str], state: str, as_json: bool) -> None:
+    text = "\n".join(printable(f"{area}: {name} is {state}") for name, area in areas.items())
+    answer(as_json, {"meters": {name: {"area": area, "is": state} for name, area in areas.items()}}, text)
 
 
 @command(OPERATE, short_help="Have a running system make a scan at once.")
 @operator_options
-def scan(join: Joining) -> None:
+@json_option
+def scan(join: Joining, as_json: bool) -> None:
     """Have the plant make a new scan at once; where gateways send the readings, all areas take the newest ones.
 
     \b
     Example:  dsse scan --connect tls/192.0.2.7:7447 --keys keys
     """
     with join() as operator:
-        show(printable(operator.scan()))
+        found = operator.scan()
+        answer(as_json, {"run": operator.run, "effect": found}, printable(found))
 
 
 @command(OPERATE, short_help="End what is left of a run, or a running system.")
 @click.argument("folder", metavar="[RUN_FOLDER]", type=click.Path(path_type=Path), required=False)
 @operator_options
-def stop(folder: Path | None, join: Joining) -> None:
+@json_option
+def stop(folder: Path | None, join: Joining, as_json: bool) -> None:
     """End the processes of the run in RUN_FOLDER that are left on this host, as after `kill -9` of its `dsse run`.
 
     With --connect in its place: end the areas and the plant of the system there, on all its hosts.
@@ -113,21 +121,24 @@ def stop(folder: Path | None, join: Joining) -> None:
     if (folder is None) == (not is_connected):
         raise click.UsageError("give either RUN_FOLDER, or with --connect where the system is that is to end")
     if folder is not None:
-        _stop_run(folder)
+        _stop_run(folder, as_json)
         return
     with join() as operator:
-        show(printable(f"run {operator.run}: {', '.join(operator.stop())} stopped"))
+        stopped = operator.stop()
+        text = printable(f"run {operator.run}: {', '.join(stopped)} stopped")
+        answer(as_json, {"run": operator.run, "stopped": stopped}, text)
 
 
-def _stop_run(folder: Path) -> None:
+def _stop_run(folder: Path, as_json: bool) -> None:
     from coordinator.lab.process_run.run_keys import remove_keys_of_dead_runs
     from coordinator.lab.process_run.stop_run import stop_run
 
     run, count = stop_run(folder)
     remove_keys_of_dead_runs()
     if run is None:
-        show(printable(f"{folder}: nothing to stop; the run was killed before it had started a process"))
+        text = f"{folder}: nothing to stop; the run was killed before it had started a process"
     elif count:
-        show(printable(f"run {run.id}: {count} process{'es' * (count > 1)} ended"))
+        text = f"run {run.id}: {count} process{'es' * (count > 1)} ended"
     else:
-        show(printable(f"run {run.id}: no process of it is left on this host"))
+        text = f"run {run.id}: no process of it is left on this host"
+    answer(as_json, {"run": run and run.id, "ended": count}, printable(text))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coordinator.cli.terminal import notify, show
+from coordinator.cli.terminal import json_option, notify, show
 from coordinator.watch.run_folder import result_folder
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
@@ -52,7 +52,7 @@ def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """``--out``, ``--json``, ``--csv``, ``--parquet``; the command gets them as ``output``, its folder made."""
 
     @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Write files here, new or empty.")
-    @click.option("--json", "as_json", is_flag=True, help="Print all tables as JSON instead.")
+    @json_option
     @click.option("--csv", type=click.Choice(CHOICES), metavar="TABLE", help=f"Print one as CSV: {', '.join(CHOICES)}.")
     @parquet_option
     @functools.wraps(command)

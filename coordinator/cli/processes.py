@@ -13,16 +13,17 @@ from coordinator.cli.terminal import (
     DEFAULT_ENDPOINT,
     SECURE_ENDPOINT,
     Number,
+    answer,
     check_connect,
     check_listen,
     choose_endpoints,
     connect_option,
+    json_option,
     keys_option,
     optional_scenario_argument,
     run_id_option,
     scenario_argument,
     seed_option,
-    show,
     wait_option,
 )
 from dsse_core.endpoints import add_protocol
@@ -42,13 +43,20 @@ SCAN_SECONDS = Number(min=SHORTEST_SCAN_S, max=LONGEST_S)
 
 @command(OPERATE, short_help="Write one file per area.")
 @scenario_argument
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the area files.")
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", required=True, help="Folder for the area files.")
 @run_id_option
 @connect_option("--secure")
 @click.option("--secure", is_flag=True, help="For agents with --keys: areas that link directly do so with TLS.")
 @seed_option
+@json_option
 def split(
-    scenario: str, out: Path, run_id: str | None, endpoints: tuple[str, ...], secure: bool, seed: int | None
+    scenario: str,
+    out: Path,
+    run_id: str | None,
+    endpoints: tuple[str, ...],
+    secure: bool,
+    seed: int | None,
+    as_json: bool,
 ) -> None:
     """Write one file per area of SCENARIO: all that `dsse agent` needs, here or on another host.
 
@@ -70,8 +78,8 @@ def split(
     run = choose_run_id(prepared, run_id)
     with written_whole(out) as new:
         names = [path.name for _, path in write_area_files(prepared, run, endpoints, new, area_endpoints)]
-    for name in names:
-        show(printable(out / name))
+    files = [out / name for name in names]
+    answer(as_json, {"run": run, "files": files}, "\n".join(map(printable, files)))
 
 
 @command(
@@ -82,7 +90,7 @@ def split(
     context_settings={"ignore_unknown_options": True},
     add_help_option=False,
 )
-@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+@click.argument("arguments", nargs=-1, type=click.UNPROCESSED, metavar="AREA_FILE")
 def agent(arguments: tuple[str, ...]) -> int:
     """Run the agent of one area from its area file.
 
@@ -212,7 +220,8 @@ def plant(
 
 
 @command(OPERATE, "compile", short_help="Compile the solvers of large radial networks ahead.")
-def compile_() -> None:
+@json_option
+def compile_(as_json: bool) -> None:
     """Compile the solvers of large radial networks now, so that no run has to: for an image, or by an administrator.
 
     They are kept in the folder of NUMBA_CACHE_DIR if that is set, else beside the package if that can be written, else
@@ -224,7 +233,8 @@ def compile_() -> None:
     from coordinator.lab.process_run.compile_ahead import compile_ahead
 
     ahead = compile_ahead()
-    show(f"kept in {ahead.folder}" if ahead.folder else f"is compiled already, in {' or '.join(ahead.found_in)}")
+    text = f"kept in {ahead.folder}" if ahead.folder else f"is compiled already, in {' or '.join(ahead.found_in)}"
+    answer(as_json, {"kept_in": ahead.folder, "found_in": ahead.found_in}, text)
 
 
 @group(OPERATE, "keys")
@@ -254,7 +264,8 @@ def keys_commands() -> None:
     "repeatable.",
 )
 @run_id_option
-def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id: str | None) -> None:
+@json_option
+def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id: str | None, as_json: bool) -> None:
     """Make a private authority, a certificate for each process of SCENARIO, and the rules of who may publish.
 
     \b
@@ -271,8 +282,10 @@ def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id
     loaded = load_scenario(scenario)
     access = access_of(loaded.partition, choose_run_id(loaded, run_id), loaded.reading_rules)
     create_keys(out, access, days, hosts, direct=loaded.transport.kind == "neighbours")
-    show(printable(f"{out}: keys of {', '.join(access.names)}, valid for {days:g} days"))
-    authority = printable(out / "authority.key")
-    show(f"keep {authority} off the hosts; each needs authority.crt and its own processes' .crt and .key")
+    lines = [
+        f"{out}: keys of {', '.join(access.names)}, valid for {days:g} days",
+        f"keep {out / 'authority.key'} off the hosts; each needs authority.crt and its own processes' .crt and .key",
+    ]
+    answer(as_json, {"run": access.run, "folder": out, "processes": access.names}, "\n".join(map(printable, lines)))
     if remark := find_gateway_remark(loaded.reading_rules):
         notify(f"warning: {remark}, then make the keys anew")

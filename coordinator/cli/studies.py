@@ -6,6 +6,7 @@ import contextlib
 import functools
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +17,10 @@ from coordinator.cli.figure_options import asked_for_formats, figure_options, gi
 from coordinator.cli.outputs import check_parquet_option, parquet_option
 from coordinator.cli.terminal import (
     Number,
+    answer,
     changed,
     finish_run,
+    json_option,
     notify,
     progress,
     quiet_option,
@@ -96,6 +99,7 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @link_options
 @quiet_option
 @parquet_option
+@json_option
 @figure_options
 def simulate(
     scenario: str,
@@ -108,6 +112,7 @@ def simulate(
     quiet: bool,
     formats: tuple[str, ...] | None,
     parquet: bool,
+    as_json: bool,
 ) -> int:
     """Run SCENARIO, a shipped name or a file, on the simulator: the same areas on a simulated bus, in this process.
 
@@ -125,7 +130,7 @@ def simulate(
     end_orderly_on_signals()
     with progress(f"{scenario}, virtual time", quiet) as on_update:
         result = simulate_scenario(changed(scenario, changes), out, seed, strategy, timeout, on_update, links)
-    return finish_run(result, formats, parquet)
+    return finish_run(result, formats, parquet, as_json)
 
 
 @command(STUDY, short_help="Run the strategies side by side and print one table.")
@@ -138,6 +143,7 @@ def simulate(
 @seed_option
 @set_option
 @link_options
+@json_option
 @figure_options
 def compare(
     scenario: str,
@@ -149,6 +155,7 @@ def compare(
     seed: int | None,
     changes: Mapping[str, object],
     links: LinkChanges,
+    as_json: bool,
     formats: tuple[str, ...] | None,
 ) -> None:
     """Run every strategy on the telemetry and the faults of SCENARIO and print one table.
@@ -160,6 +167,7 @@ def compare(
     Examples:  dsse compare ieee33-lossy
                dsse compare ieee33 --strategies angle-offset,information --processes --out comparison
     """
+    from coordinator.lab.evaluation.answers import head_json
     from coordinator.lab.evaluation.evaluation import choose_scenario
     from coordinator.lab.studies.strategy_comparison import choose_strategies, compare_strategies, format_comparison
 
@@ -182,14 +190,15 @@ def compare(
         rows = compare_strategies(loaded, chosen, run, out)
     buses, areas = len(loaded.network.buses), len(loaded.partition.areas)
     where = "real processes" if processes else "on the simulator, virtual time"
-    show(f"{printable(loaded.name)}, {buses} buses in {areas} areas, seed {loaded.seed}, {where}\n")
-    show(format_comparison(rows))
+    heading = f"{printable(loaded.name)}, {buses} buses in {areas} areas, seed {loaded.seed}, {where}"
+    content = head_json(loaded) | {"on": "processes" if processes else "simulator", "rows": list(map(asdict, rows))}
+    answer(as_json, content | {"folder": out}, f"{heading}\n\n{format_comparison(rows)}")
     if out is not None:
         if formats is not None:
             from coordinator.show.report.study_report import report_comparison
 
             report_comparison(out, loaded, rows, outcomes, formats, given_arguments())
-        show(f"\nfiles: {printable(out)}")
+        (notify if as_json else show)(f"\nfiles: {printable(out)}")
 
 
 def _run_and_keep(
@@ -232,6 +241,7 @@ def _run_on_simulator(scenario: Scenario, folder: Path) -> RunOutcome:
 @set_option
 @link_options
 @quiet_option
+@json_option
 @figure_options
 def sweep(
     scenario: str,
@@ -246,6 +256,7 @@ def sweep(
     changes: Mapping[str, object],
     links: LinkChanges,
     quiet: bool,
+    as_json: bool,
     formats: tuple[str, ...] | None,
 ) -> None:
     """Run SCENARIO on the simulator for each value of its keys, each strategy and each seed.
@@ -286,8 +297,10 @@ def sweep(
             raise
         finally:
             _report(plan, table, drawn, folder, formats)
-    looked_at = "" if formats is None else f", figure and settings in {folder / 'report.html'}"
-    show(printable(f"{len(table.rows)} runs in {table.path}{looked_at}"))
+    report = None if formats is None else folder / "report.html"
+    looked_at = "" if report is None else f", figure and settings in {report}"
+    content = {"table": table.path, "report": report, "rows": list(map(asdict, table.rows.values()))}
+    answer(as_json, content, printable(f"{len(table.rows)} runs in {table.path}{looked_at}"))
 
 
 def _run_missing(plan: SweepPlan, table: SweepTable, jobs: int, quiet: bool, executor: Executor | None = None) -> None:
@@ -318,7 +331,8 @@ def _report(
 @click.option("--table", "tables", multiple=True, metavar="NUMBER", help="Only this table, e.g. 5.9; repeatable.")
 @click.option("--summary", is_flag=True, help="Print the last table only: one line per table of the thesis.")
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help=f"Write all rows to DIR/{THESIS_FILE}.")
-def thesis(tables: tuple[str, ...], summary: bool, out: Path | None) -> None:
+@json_option
+def thesis(tables: tuple[str, ...], summary: bool, out: Path | None, as_json: bool) -> None:
     """Run the scenarios of the thesis and print its tables of states beside ours, with the differences.
 
     The runs are on the simulator. Misprints are marked and left out of the largest differences. What each table of ours
@@ -330,15 +344,16 @@ def thesis(tables: tuple[str, ...], summary: bool, out: Path | None) -> None:
     """
     from coordinator.lab.thesis.comparison import as_one_table, compare_tables, format_compared, format_summary
     from coordinator.watch.run_folder import result_folder
+    from coordinator.watch.tables.table_files import rows_as_json
     from dsse_core.files.drafts import whole_file
 
     end_orderly_on_signals()
     with nullcontext() if out is None else result_folder(out) as folder:
         compared = compare_tables(tables)
-        for table in () if summary else compared:
-            show(format_compared(table) + "\n")
-        show(format_summary(compared))
+        texts = [] if summary else [f"{format_compared(table)}\n" for table in compared]
+        content = {"rows": rows_as_json(as_one_table(compared)), "folder": out}
+        answer(as_json, content, "\n".join([*texts, format_summary(compared)]))
         if folder is not None:
             with whole_file(folder / THESIS_FILE) as draft, draft.open("w", encoding="utf-8", newline="") as file:
                 as_one_table(compared).to_csv(file)
-            show(f"\nfiles: {printable(folder)}")
+            (notify if as_json else show)(f"\nfiles: {printable(folder)}")

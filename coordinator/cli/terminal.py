@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import math
 import os
 import shlex
@@ -57,6 +58,7 @@ seed_option = click.option(
 timeout_option = click.option(
     "--timeout", type=SECONDS, metavar="S", help="Time limit in seconds instead of the scenario's."
 )
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead.")
 quiet_option = click.option("--quiet", is_flag=True, help="Print the verdict only.")
 run_id_option = click.option("--run", "run_id", help="Name of the run, a part of every key.  [default: the scenario's]")
 direct_option = click.option("--direct", is_flag=True, help="There is no router: link with the endpoint of every area.")
@@ -172,6 +174,11 @@ def show(text: str) -> bool:
     return True
 
 
+def answer(as_json: bool, content: Mapping[str, object], text: str) -> None:
+    """Print the answer of a command: ``text``, or ``content`` as one JSON object; paths become texts."""
+    show(json.dumps(content, allow_nan=False, default=str) if as_json else text)
+
+
 def end_output() -> None:
     """End standard output for the reader of a pipe or file, although the process continues; a terminal stays open."""
     with suppress(OSError, ValueError):
@@ -191,15 +198,17 @@ def next_run(scenario: Path) -> str:
     return f"next: {shlex.join(['dsse', 'run', str(scenario)])}"
 
 
-def finish_run(result: RunResult, formats: Sequence[str] | None, parquet: bool) -> int:
+def finish_run(result: RunResult, formats: Sequence[str] | None, parquet: bool, as_json: bool) -> int:
     """Print the verdict, write Parquet if asked for, figures and report unless ``formats`` is None, and return the exit
     code, which signals that come later do not change.
     """
+    from coordinator.lab.evaluation.result import as_json as describe
     from coordinator.show.report.text import format_verdict
 
-    verdict, code = format_verdict(result), 2 if result.unwritten else 0 if result.verdict.consensus else 1
+    code = 2 if result.unwritten else 0 if result.verdict.consensus else 1
+    content, verdict = describe(result) if as_json else {}, format_verdict(result)
     decide(code)
-    show(verdict)
+    answer(as_json, content | {"folder": result.folder}, verdict)
     if result.unwritten:
         return _report_unwritten(result)
     if parquet:

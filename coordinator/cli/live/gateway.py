@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from coordinator.cli.command import OPERATE, command
-from coordinator.cli.terminal import Number, choose_endpoints, connect_option, keys_option, show, wait_option
+from coordinator.cli.terminal import Number, answer, choose_endpoints, connect_option, keys_option, wait_option
 
 
 @command(
@@ -35,6 +35,7 @@ from coordinator.cli.terminal import Number, choose_endpoints, connect_option, k
     metavar="FILE",
     help="Write there in JSON, every second, what became of the readings.",
 )
+@click.option("--json", "as_json", is_flag=True, help="With --check: print one JSON object instead.")
 def gateway(
     map_file: Path,
     endpoints: tuple[str, ...],
@@ -43,6 +44,7 @@ def gateway(
     check: bool,
     seconds: float,
     status_file: Path | None,
+    as_json: bool,
 ) -> int:
     """Read meters as MAP says, from a CSV file, JSON lines, MQTT, OPC UA, Modbus or a source of your own, and publish
     the newest reading of each until Ctrl-C. MAP gives address, meter and unit of each reading.
@@ -59,8 +61,12 @@ def gateway(
         from coordinator.field.gateway.check import check_map
 
         report = check_map(content, seconds)
-        show(report.text)
+        answer(
+            as_json, {"is_sound": report.is_sound, "problems": report.problems, "remarks": report.remarks}, report.text
+        )
         return 0 if report.is_sound else 1
+    if as_json:
+        raise click.UsageError("--json prints the report of --check; a gateway that publishes has none")
     from coordinator.field.gateway.gateway import run_gateway
 
     direct = content.scenario.transport.kind == "neighbours"

@@ -10,7 +10,15 @@ import click
 
 from coordinator.cli.command import INSPECT, command, removed_option
 from coordinator.cli.live.address import address_options
-from coordinator.cli.terminal import DEFAULT_ENDPOINT, Number, notify, optional_scenario_argument, quiet_option, show
+from coordinator.cli.terminal import (
+    DEFAULT_ENDPOINT,
+    Number,
+    answer,
+    json_option,
+    notify,
+    optional_scenario_argument,
+    quiet_option,
+)
 from coordinator.watch.interrupts import end_orderly_on_signals
 from coordinator.watch.observe.run_address import RunAddress
 
@@ -66,9 +74,9 @@ def record(address: RunAddress, out: Path | None, limit_gb: float | None, scenar
 @command(
     INSPECT,
     codes={
-        0: "all of it was played, and all good states came out again",
+        0: "all good states came out again",
         1: "some did not",
-        PARTS_CODE: "those of the scans that were played did; scans were left out, or parts of the recording are lost",
+        PARTS_CODE: "those of a part did; the other scans were left out, or are lost",
     },
     short_help="Play a recording back.",
 )
@@ -80,7 +88,8 @@ def record(address: RunAddress, out: Path | None, limit_gb: float | None, scenar
 @optional_scenario_argument
 @removed_option("--scenario", "give the scenario without an option: dsse replay FOLDER SCENARIO")
 @quiet_option
-def replay(folder: Path, processes: bool, speed: float | None, scenario: str | None, quiet: bool) -> int:
+@json_option
+def replay(folder: Path, processes: bool, speed: float | None, scenario: str | None, quiet: bool, as_json: bool) -> int:
     """Play the readings in FOLDER, as they were used, to the same areas again, and compare what they make of them.
 
     On the simulator the states are those that were recorded, to the bit; of processes, within 1e-9. Scans of which
@@ -99,7 +108,8 @@ def replay(folder: Path, processes: bool, speed: float | None, scenario: str | N
     play = play_on_processes if processes else play_on_simulator
     began = time.monotonic()
     found = play(folder, other, speed, None if quiet else _Progress().show)
-    show(format_replay(found, "processes" if processes else "the simulator", time.monotonic() - began))
+    text = format_replay(found, "processes" if processes else "the simulator", time.monotonic() - began)
+    answer(as_json, found.as_json(), text)
     if not found.agrees:
         return 1
     return 0 if found.is_whole else PARTS_CODE

@@ -6,7 +6,7 @@ import asyncio
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from coordinator.field.gateway import counts as reasons
 from coordinator.field.gateway.counts import Counts
@@ -29,16 +29,22 @@ NOTHING = "nothing is read"
 
 @dataclass(frozen=True)
 class CheckReport:
-    """``text``: the report to print. ``is_sound``: True where nothing looks wrong."""
+    """``text``: the report to print, with ``problems`` of the source, and ``remarks``: meter id -> remark."""
 
     text: str
-    is_sound: bool
+    problems: Sequence[str] = ()
+    remarks: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def is_sound(self) -> bool:
+        """True where nothing looks wrong."""
+        return not self.problems
 
 
 def check_map(content: GatewayMap, duration_s: float) -> CheckReport:
     """Read the source of a map for ``duration_s``, or until it ends, publishing nothing."""
     if content.source is None:
-        return CheckReport("the map has no [source]; nothing to read", True)
+        return CheckReport("the map has no [source]; nothing to read")
     lead_s = allowed_lead_s(content.scenario.run.scan_s)
     intake = Intake(content.points, time.time, lead_s, Counts(warn=_ignore))
     link = Link("source", warn=_ignore)
@@ -106,7 +112,7 @@ def make_report(
     text = "\n".join(
         [_format(content, newest, schedule or {}, remarks), "", *notes, *found, f"{counts.received} readings received"]
     )
-    return CheckReport(text, not wrong)
+    return CheckReport(text, wrong, {meter: remark for meter, remark in remarks.items() if remark})
 
 
 def _find_reads(newest: Mapping[str, Reading], schedule: Mapping[str, Schedule] | None) -> dict[str, Read]:

@@ -62,6 +62,16 @@ class Comparison:
             why[reason].append(scan)
         return [f"left out, {reason}: scan {listed(scans, MOST_NAMED)}" for reason, scans in why.items()]
 
+    def as_json(self) -> dict[str, object]:
+        """The findings by name, of which a program learns what ``dsse replay`` prints."""
+        of_states = ("vm_pu", "va_deg", "vm_sigma_pu", "va_sigma_deg")
+        names = ("agrees", "is_whole", "scans", "compared", "not_good", "unequal", "notes")
+        return {name: getattr(self, name) for name in names} | {
+            "largest": dict(zip(of_states, self.largest.tolist(), strict=True)),
+            "left_out": {str(scan): reason for scan, reason in self.left_out.items()},
+            "missing": [{"scan": scan, "area": area} for scan, area in self.missing],
+        }
+
     @property
     def is_whole(self) -> bool:
         """True where all recorded scans have been played, and no part of the recording is known to be lost."""

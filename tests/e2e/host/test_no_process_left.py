@@ -117,6 +117,7 @@ def test_stop_ends_what_a_killed_coordinator_has_left_and_nothing_else(start_run
     assert f"run {run.events()[0]['run']}: 6 processes ended" in done.stdout  # parent, router, plant, areas
     assert_nothing_left(pids)
     assert "no process of it is left" in dsse("stop", run.folder).stdout
+    assert json.loads(dsse("stop", run.folder, "--json").stdout) == {"run": run.events()[0]["run"], "ended": 0}
 
 
 def test_stop_ends_a_parent_that_is_frozen(start_run, dsse, deaf_scenario, assert_nothing_left):
@@ -237,5 +238,6 @@ def test_folders_of_the_user_with_our_names_do_not_disturb(tmp_path: Path, dsse_
     for name in ("agents", "scenarios"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise ImportError('not ours')")
-    done = dsse_from_nothing("run", "industrial13", "--no-plots", "--quiet", "--timeout", DEADLINE_S)
+    done = dsse_from_nothing("run", "industrial13", "--no-plots", "--quiet", "--json", "--timeout", DEADLINE_S)
     assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["verdict"]["consensus"]

@@ -83,8 +83,9 @@ def test_a_meter_that_is_off_is_left_out_until_it_is_on_again_also_by_a_restarte
     system.wait_for_gap_below(1e-8)
     assert watcher.states["area2"].meters_off == (meter,)
 
-    done = system.order("meter", "on", meter)
-    assert (done.returncode, done.stdout) == (0, f"area2: {meter} is on\n"), done.stderr
+    done = system.order("meter", "on", meter, "--json")
+    assert (done.returncode, done.stderr if system.keys else "") == (0, ""), done.stderr
+    assert json.loads(done.stdout) == {"meters": {meter: {"area": "area2", "is": "on"}}}
     watcher.leave_out()
     system.wait_for_gap_below(1e-8)
     assert watcher.states["area2"].meters_off == ()
@@ -170,8 +171,9 @@ def test_where_no_plant_is_a_scan_has_the_areas_take_the_newest_readings(system:
 
 
 def test_a_system_ends_when_the_operator_stops_it(system: System):
-    done = system.order("stop")
-    assert (done.returncode, done.stdout) == (0, f"run {RUN}: area1, area2, plant stopped\n"), done.stderr
+    done = system.order("stop", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == {"run": RUN, "stopped": ["area1", "area2", "plant"]}
     for name in ("area1", "area2", "plant"):
         process = system.processes.processes[name]
         wait_until(lambda process=process: process.poll() is not None)

@@ -14,7 +14,7 @@ from scenarios.files.shipped_files import find_shipped
 from tests.support.pages import PAGES, ROOT, find_commands, name_of
 
 SHIPPED_SCENARIOS = set(find_shipped("shipped"))
-PLACEHOLDER = re.compile(r"[A-Z_|]+|\.\.\.|\S*\|\S*")
+PLACEHOLDER = re.compile(r"\[?[A-Z_|]+\]?|\.\.\.|\S*\|\S*")
 COMMANDS = sorted({(name_of(page), tuple(words)) for page in PAGES for words in find_commands(page)})
 
 
