@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from coordinator.cli.command import STUDY, TRY, Group, command
-from coordinator.cli.figure_options import figure_options
+from coordinator.cli.figure_options import asked_for_formats, figure_options, given_arguments
 from coordinator.cli.flows import flows
 from coordinator.cli.live.gateway import gateway
 from coordinator.cli.live.record import record, replay
@@ -262,13 +262,19 @@ def powerflow(scenario: str, changes: Mapping[str, object], output: Output) -> N
 @set_option
 @click.option("--readings", type=click.Path(path_type=Path), metavar="FILE", help="Estimate these readings instead.")
 @output_options
+@figure_options
 @answering_once()
 def estimate(
-    scenario: str, seed: int | None, changes: Mapping[str, object], readings: Path | None, output: Output
+    scenario: str,
+    seed: int | None,
+    changes: Mapping[str, object],
+    readings: Path | None,
+    output: Output,
+    formats: tuple[str, ...] | None,
 ) -> int:
     """Estimate the whole grid of SCENARIO in one place, with bad-data processing: what a control centre would do.
 
-    FILE is a readings file; with a column `scan`, all of its scans are estimated.
+    FILE is a readings file; with a column `scan`, all of its scans are estimated, and DIR gets a report with figures.
 
     \b
     Examples:  dsse estimate ieee33 --seed 7
@@ -284,8 +290,10 @@ def estimate(
     if readings is not None:
         scans = load_scans_of(loaded, readings)
         if scans.are_named:
-            return _estimate_scans(loaded, scans, output)
+            return _estimate_scans(loaded, scans, output, formats)
         loaded = with_one_scan(loaded, scans)
+    if asked_for_formats():
+        raise click.UsageError("--format: a single scan has no figures; give readings with a column scan")
     _estimate_once(loaded, output)
     return 0
 
@@ -303,7 +311,7 @@ def _estimate_once(loaded: Scenario, output: Output) -> None:
     hand_over(output, tables, lambda: estimate_as_json(loaded, report), lambda: format_estimate(report, tables), notes)
 
 
-def _estimate_scans(loaded: Scenario, scans: Scans, output: Output) -> int:
+def _estimate_scans(loaded: Scenario, scans: Scans, output: Output, formats: tuple[str, ...] | None) -> int:
     """Estimate every scan and print the results; the exit code, 1 if a scan has no estimate."""
     from coordinator.lab.evaluation.answers import scans_as_json
     from coordinator.lab.evaluation.scan_estimates import estimate_scans
@@ -314,6 +322,10 @@ def _estimate_scans(loaded: Scenario, scans: Scans, output: Output) -> int:
     found = estimate_scans(loaded, scans)
     tables, failures = found.tables, [f"no estimate of {failure}" for failure in found.describe_failures()]
     hand_over(output, tables, lambda: scans_as_json(loaded, found), lambda: format_scans(found, tables), failures)
+    if output.folder is not None and formats is not None:
+        from coordinator.show.report.scan_report import write_scan_report
+
+        write_scan_report(output.folder, loaded, tables, formats, given_arguments())
     return 1 if failures else 0
 
 
