@@ -316,7 +316,9 @@ class StateMessage:
     ``taken_at``: time to which the ages of the readings count, s since 1970; ``oldest_reading``: age of the oldest
     reading used, s; without any, age of the newest one received. ``meters_off``: meters that the operator has switched
     off; ``command``: (start_ms, random, sequence) of the last command that was followed, zeros before any. ``split``:
-    of the area file; ``next_split``: of the file that lies ready beside it.
+    of the area file; ``next_split``: of the file that lies ready beside it. ``into_children``: P and Q from each of the
+    area's boundary buses into the branches of each child there, as ``Area.powers_into_children`` has them; empty where
+    they are not known.
     """
 
     kind: ClassVar[str] = "state"
@@ -352,6 +354,7 @@ class StateMessage:
     command: tuple[Count, Count, Count] = (0, 0, 0)
     split: SplitIdentity = NO_SPLIT
     next_split: SplitIdentity = NO_SPLIT
+    into_children: Numbers = ()
 
     def find_misfit(self) -> str:
         if len(set(self.buses)) < len(self.buses):

@@ -19,6 +19,8 @@ from agents.protocol.readings import Ages
 from agents.strategies.interface import Estimate
 from dsse_core.grid.partition import Area
 
+EMPTY = "buses", "vm", "va", "sigma_vm", "sigma_va", "removed", "critical", "into_children"  # without an estimate
+
 
 class PublishedState:
     """``message``: the state as last published, None before the first. ``ordered``: the last command of the operator.
@@ -115,7 +117,7 @@ class PublishedState:
 def describe_estimate(estimate: Estimate | None, buses: tuple[int, ...]) -> dict[str, Any]:
     """Returns the fields of a state that ``estimate`` fills; all are empty without an estimate."""
     if estimate is None:
-        empty: dict[str, Any] = dict.fromkeys(("buses", "vm", "va", "sigma_vm", "sigma_va", "removed", "critical"), ())
+        empty: dict[str, Any] = dict.fromkeys(EMPTY, ())
         return empty | {"referenced": False, "objective": 0.0, "degrees_of_freedom": 0, "checked": False}
     return {
         "buses": buses,
@@ -129,4 +131,5 @@ def describe_estimate(estimate: Estimate | None, buses: tuple[int, ...]) -> dict
         "removed": estimate.removed,
         "critical": estimate.critical,
         "checked": estimate.checked,
+        "into_children": estimate.into_children,
     }

@@ -47,7 +47,8 @@ class Estimate:
     ``referenced``: ``va`` counts from the substation. ``removed``: meters taken out as bad data.
     ``critical``: meters that cannot be spared, whatever they read. ``checked``: the search for bad data has been done.
     ``settled``: no exchange under way is going to move the estimate. ``undecided``: groups of meters of which the first
-    is taken out, while the readings do not tell which meter of the group is wrong.
+    is taken out, while the readings do not tell which meter of the group is wrong. ``into_children``: the powers into
+    the branches of the children, p.u., as ``Area.powers_into_children`` has them; empty where they are not known.
     """
 
     vm: np.ndarray
@@ -62,6 +63,7 @@ class Estimate:
     checked: bool = True
     settled: bool = True
     undecided: tuple[tuple[str, ...], ...] = ()
+    into_children: tuple[float, ...] = ()
 
     def is_reasonable(self, no_load_va: np.ndarray) -> bool:
         """True where a grid can be in this state, however unusual it is; ``no_load_va``: angles of the unloaded buses.

@@ -414,6 +414,15 @@ class AreaEstimation:
         return self._flat[: self._n]
 
     @property
+    def into_children(self) -> tuple[float, ...]:
+        """Powers into the branches of the children, p.u., in the order of ``Area.powers_into_children``.
+
+        Empty where a child is not in use.
+        """
+        is_known = not any(power.area in self._silent for power in self.area.powers_into_children)
+        return tuple(self.x[2 * self._n :].tolist()) if is_known else ()
+
+    @property
     def voltages(self) -> tuple[np.ndarray, np.ndarray]:
         """(vm, va), shape (n_bus,), p.u. and rad."""
         return self.x[self._n : 2 * self._n], self.x[: self._n]

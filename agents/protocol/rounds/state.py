@@ -162,6 +162,7 @@ class RoundsState:
             critical=critical,
             checked=self._counts_all(outcome),
             undecided=self._round.undecided,
+            into_children=estimation.into_children,
         )
         if not estimate.is_reasonable(estimation.no_load_va):
             raise ArithmeticError("the estimate is beyond reason")

@@ -15,6 +15,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.grid.partition import Area
 
 BUS_COLUMNS = ("bus", "name", "vm_pu", "va_deg", "vm_kv", "p_kw", "q_kvar", "sigma_vm_pu", "sigma_vm_kv")
+OF_NUMBERS = ("quality", "value_age_s", "fresh")
 BRANCH_COLUMNS = (
     "branch",
     "name",
@@ -60,8 +61,10 @@ def make_result(areas: Mapping[str, Area], state: StateMessage) -> Result:
     except InvalidInputError as error:
         return result | {"problem": "; ".join(error.problems)}
     return result | {
-        "buses": [{key: row[key] for key in BUS_COLUMNS} for row in rows_as_json(buses)],
-        "branches": [{key: row[key] for key in BRANCH_COLUMNS} for row in rows_as_json(branches)],
+        "buses": [
+            {key: row[key] for key in (*BUS_COLUMNS, "injection_problem", *OF_NUMBERS)} for row in rows_as_json(buses)
+        ],
+        "branches": [{key: row[key] for key in (*BRANCH_COLUMNS, *OF_NUMBERS)} for row in rows_as_json(branches)],
     }
 
 

@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from agents.messages.packing import StateMessage
+from coordinator.watch.observe.freshness import add_freshness, freshness_of_state
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.boundary import Kind
 from dsse_core.grid.partition import Area
 from dsse_core.printable import listed
 from dsse_core.results.branches import make_branch_table
 from dsse_core.results.buses import make_bus_table
-from dsse_core.results.state import find_state
+from dsse_core.results.state import GridState, find_state
 from dsse_core.results.table import ScanLabel, Table
 
 MOST_NAMED = 12
@@ -23,8 +25,9 @@ def make_area_flows(area: Area, state: StateMessage) -> tuple[Table, Table]:
     """Buses and branches that the area sees, in kV, kW, kvar and A.
 
     The state has voltages and their standard deviations; those of all other quantities, and true values, are nan. The
-    injection of a boundary bus includes the flows from outside the area. Angles without the substation's reference are
-    nan; flows are known even then.
+    injection of a boundary bus is known in the area that owns the bus, if it knows the powers into its children; else
+    it is nan, and ``injection_problem`` says why. Angles without the substation's reference are nan; flows are
+    known even then. Rows have quality and age of their numbers as the area states them.
 
     Raises:
         InvalidInputError: the state has other buses than the area.
@@ -40,9 +43,32 @@ def make_area_flows(area: Area, state: StateMessage) -> tuple[Table, Table]:
         np.array(numbers, dtype=float)[order] for numbers in (state.vm, state.va, state.sigma_vm, state.sigma_va)
     )
     found, unknown = find_state(network, vm, va), np.full(len(vm), np.nan)
+    found, problems = _find_own_injections(area, state, found)
     shown = found if state.referenced else replace(found, va=unknown)
     deviations = sigma_vm, sigma_va if state.referenced else unknown, np.full((2, len(vm)), np.nan)
     label = ScanLabel(str(state.header.scan), state.taken_at or math.nan)
     compared = {"decentralised": (shown.vm, shown.va)}
-    buses = make_bus_table(shown, [area.name] * len(vm), compared, *deviations, label)
-    return buses, make_branch_table(network, found.branches, found.flows, label=label)
+    areas, freshness = [area.name] * len(vm), {area.name: freshness_of_state(state)}
+    buses = make_bus_table(shown, areas, compared, *deviations, label)
+    branches = make_branch_table(network, found.branches, found.flows, label=label)
+    why = [problems.get(bus, "") for bus in network.row]
+    return (
+        add_freshness("buses", buses, areas, freshness, injection_problem=why),
+        add_freshness("branches", branches, [area.name] * len(branches), freshness),
+    )
+
+
+def _find_own_injections(area: Area, state: StateMessage, found: GridState) -> tuple[GridState, dict[int, str]]:
+    """The state with the injections of the buses alone: flows of the area's branches at a boundary bus, and the powers
+    into its children. Boundary bus -> the reason that its injection is not known.
+    """
+    injection, row, powers = found.injection.copy(), area.network.row, area.powers_into_children
+    problems = dict.fromkeys(area.not_owned, f"{area.parent.area} owns this bus" if area.parent else "")
+    if len(state.into_children) != len(powers):
+        children = {power.bus: power.area for power in powers}
+        problems |= {bus: f"{area.name} does not know the power into {child}" for bus, child in children.items()}
+    else:
+        for power, value in zip(powers, state.into_children, strict=True):
+            injection[row[power.bus]] += value if power.kind is Kind.P else 1j * value
+    injection[[row[bus] for bus in problems]] = complex(np.nan, np.nan)
+    return replace(found, injection=injection), problems

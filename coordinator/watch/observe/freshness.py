@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from agents.messages.packing import StateMessage
 from agents.protocol.quality import DEGRADED, GOOD, NONE, RELATIVE_ANGLE
+from dsse_core.results.table import Table
 
 FRESH = frozenset((GOOD, DEGRADED, RELATIVE_ANGLE))  # qualities of a state that describes the present
 
@@ -36,6 +38,18 @@ NOT_KNOWN = Freshness()
 def find_freshness(quality: str, telemetry_age_s: float, *, has_estimate: bool) -> Freshness:
     """The freshness of numbers of a state of ``quality``, which is stale where its area is gone or silent."""
     return Freshness(quality, telemetry_age_s if has_estimate else math.nan)
+
+
+def freshness_of_state(state: StateMessage) -> Freshness:
+    """The freshness of the numbers of ``state`` at its publication, as its area sees it."""
+    return find_freshness(state.quality, state.telemetry_age, has_estimate=bool(state.buses))
+
+
+def add_freshness(
+    title: str, table: Table, areas: Iterable[str], freshness: Mapping[str, Freshness], **more: Sequence[str]
+) -> Table:
+    """``table`` with the columns of ``describe_freshness`` and ``more``."""
+    return Table(title, {name: table[name] for name in table.columns} | describe_freshness(areas, freshness) | more)
 
 
 def describe_freshness(areas: Iterable[str], freshness: Mapping[str, Freshness]) -> dict[str, Any]:

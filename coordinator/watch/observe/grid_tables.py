@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.messages.packing import ReadingsMessage, StateMessage
-from coordinator.watch.observe.freshness import NOT_KNOWN, Freshness, describe_freshness
+from coordinator.watch.observe.freshness import NOT_KNOWN, Freshness, add_freshness, describe_freshness
 from coordinator.watch.observe.view import View
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.grid.measurement import Meter, Source
@@ -101,11 +101,6 @@ def collect_readings(states: States, readings: ReadingsByArea, freshness: Freshn
     return {**texts, **found, **describe_freshness(texts["area"], freshness)}
 
 
-def add_columns(title: str, table: Table, more: Columns) -> Table:
-    """``table`` with further columns."""
-    return Table(title, {name: table[name] for name in table.columns} | more)
-
-
 def worst_first(meters: Table) -> Table:
     """The same rows, the largest normalised residual first; unknown residuals come last."""
     columns = {name: meters[name] for name in meters.columns}
@@ -189,10 +184,11 @@ class GridTables:
         state = replace(state, injection=np.where(unknown, complex(np.nan, np.nan), state.injection))
         buses = make_bus_table(state, areas, {}, sigma[0], sigma[1], np.full((2, n), np.nan))
         branches = make_branch_table(state.network, state.branches, state.flows)
-        of_buses = describe_freshness(areas, freshness)
-        of_buses["injection_problem"] = [problems.get(bus, "") for bus in buses.bus.tolist()]
-        of_branches = describe_freshness(self._holders, freshness)
-        return add_columns("buses", buses, of_buses), add_columns("branches", branches, of_branches)
+        why = [problems.get(bus, "") for bus in buses.bus.tolist()]
+        return (
+            add_freshness("buses", buses, areas, freshness, injection_problem=why),
+            add_freshness("branches", branches, self._holders, freshness),
+        )
 
     @cached_property
     def _holders(self) -> list[str]:

@@ -51,6 +51,15 @@ def test_a_result_has_what_flows_in_kw_and_a(scenario: Scenario, areas: dict[str
     json.dumps(result, allow_nan=False)
 
 
+def test_each_number_of_a_result_says_how_good_and_how_old_it_is(areas: dict[str, Area], state: StateMessage) -> None:
+    result = make_result(areas, replace(state, quality="stale", telemetry_age=203.5))
+    rows = [*result["buses"], *result["branches"]]
+    assert {(row["quality"], row["value_age_s"], row["fresh"]) for row in rows} == {("stale", 203.5, False)}
+    boundary = [row for row in result["buses"] if row["bus"] in areas["area1"].boundary_buses]
+    assert {(row["p_kw"], row["q_kvar"]) for row in boundary} == {(None, None)}  # the state lacks what flows out there
+    assert all(row["injection_problem"].startswith("area1 does not know the power into") for row in boundary)
+
+
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [({"buses": (), "vm": (), "va": ()}, "no estimate"), ({"buses": (77,), "vm": (1.0,), "va": (0.0,)}, "differ")],
