@@ -166,16 +166,26 @@ def _show_on(look: Callable[[], Watcher], shown: Shown, *, live: bool) -> None:
 @direct_option
 @keys_option
 @run_option
+@optional_scenario_argument
 def metrics(
-    listen: str, names: tuple[str, ...], endpoints: tuple[str, ...], direct: bool, keys: Path | None, run_id: str | None
+    scenario: str | None,
+    listen: str,
+    names: tuple[str, ...],
+    endpoints: tuple[str, ...],
+    direct: bool,
+    keys: Path | None,
+    run_id: str | None,
 ) -> int:
     """Watch the areas of a running system and serve what is seen to Prometheus, until Ctrl-C.
+
+    SCENARIO adds loading, currents and powers, and its limits of operation.
 
     /health answers 200 while the bus is reachable, /ready while every area that was ever seen shows a fresh state, else
     503 with the reasons. Beyond loopback it is asked for by an address in digits, or by a --name.
 
     \b
     Examples:  dsse metrics
+               dsse metrics ieee33
                dsse metrics --listen 0.0.0.0:9464 --connect tls/192.0.2.7:7447 --keys keys
     """
     from coordinator.watch.metrics.serve import check_prometheus, serve_metrics
@@ -188,6 +198,8 @@ def metrics(
 
     start_log()
     address = RunAddress(choose_endpoints(endpoints, keys is not None), run_id, ATTEMPT_S, keys, direct)
-    with MetricsPage(*parse_listen(listen, DEFAULT_LISTEN), names) as page:
-        serve_metrics(page, lambda: attach(address), renews=keys is not None)
+    known = _load_grid(scenario)
+    areas = frozenset(area.name for area in known.partition.areas) if known else None
+    with MetricsPage(*parse_listen(listen, DEFAULT_LISTEN), names, known) as page:
+        serve_metrics(page, lambda: attach(address, areas=areas), renews=keys is not None)
     return 0

@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.metrics_core import Metric
 
 from agents.messages.packing import StateMessage
 from agents.protocol.quality import NONE, QUALITIES, STALE
+from coordinator.watch.observe.grid_tables import GridTables, find_tables
+from coordinator.watch.observe.summary import Power, Summary, summarise
 from coordinator.watch.observe.view import AreaView, View
+from coordinator.watch.observe.watcher import Watcher
 
 LOOKED_LATELY_S = 10.0  # an older sight means that the loop of the watching process is stuck
 
 
 @dataclass(frozen=True)
 class Sight:
-    """A watcher's knowledge at time ``at``, s. ``view``: None before the watcher has reached the bus. ``trouble``: the
-    reason that it is not on the bus now, empty if it is."""
+    """A watcher's knowledge at time ``at``, s. ``view``: None before the watcher has reached the bus, and ``watcher``:
+    as it was then. ``trouble``: the reason that it is not on the bus now, empty if it is."""
 
     at: float
     view: View | None = None
-    states: Mapping[str, StateMessage] = field(default_factory=dict)
+    watcher: Watcher | None = None
     trouble: str = "has not reached the bus yet"
 
     def find_illness(self, now: float) -> tuple[str, ...]:
@@ -59,6 +62,7 @@ GAUGES = {
     "scan": "Number of the scan of the newest state",
     "state_age_seconds": "Since the newest state was received",
     "telemetry_age_seconds": "Since the area received telemetry",
+    "fresh": "1 where the area's numbers are of the present; its voltages, J and mismatches are absent otherwise",
     "oldest_reading_seconds": "Age of the oldest reading in use",
     "incarnation_start_seconds": "When the area's process began, since 1970",
     "removed_meters": "Meters removed as bad data",
@@ -76,6 +80,19 @@ COUNTERS = {
     "lost": "Of these, dropped by the injected faults of links",
     "exchanges": "Exchanges with the neighbours",
 }
+GRID = {
+    "numbers": "Buses, meters in use or branches in service of which the quantity could be known",
+    "known": "Of these, those with a fresh number",
+    "outside_limits": "Of these, those beyond the limits of operation",
+    "lowest": "Smallest fresh number",
+    "highest": "Largest fresh number",
+}
+POWERS = {
+    "power_kw": "Sum of the known parts: injection of the substation, losses, loads, generation",
+    "reactive_power_kvar": "The same of the reactive power",
+    "power_parts": "Branches in service, or buses",
+    "power_parts_known": "Of these, those with a fresh number",
+}
 GAUGES_BY_NEIGHBOUR = {
     "neighbour_age_seconds": "Since the newest information of a neighbour",
     "clock_skew_seconds": "By how much the clock of a neighbour is ahead of the area's",
@@ -83,19 +100,25 @@ GAUGES_BY_NEIGHBOUR = {
 
 
 class RunCollector:
-    """Collector of ``prometheus_client`` for ``sight``, which the page replaces at each look."""
+    """Collector of ``prometheus_client`` for ``sight``, which the page replaces at each look.
 
-    def __init__(self) -> None:
+    ``known``: the grid, if its scenario is known.
+    """
+
+    def __init__(self, known: GridTables | None = None) -> None:
+        self.known = known
         self.sight = Sight(float("-inf"))
 
     def collect(self) -> Iterator[Metric]:
         """All metrics of the newest sight."""
         sight = self.sight
         yield GaugeMetricFamily("dsse_bus_reachable", "Whether the watcher is on the bus", float(not sight.trouble))
-        if sight.view is None:
+        if sight.view is None or sight.watcher is None:
             return
         yield from _list_others(sight.view)
-        yield from _list_areas(sight.view, sight.states)
+        yield from _list_areas(sight.view, sight.watcher)
+        tables = find_tables(sight.watcher, sight.view, self.known)
+        yield from _list_summary(summarise(tables, self.known))
 
 
 PROCESS = ["role", "name"]
@@ -114,8 +137,39 @@ def _list_others(view: View) -> Iterator[Metric]:
     yield GaugeMetricFamily("dsse_duplicates", "Areas or plants that run more than once", len(view.duplicates))
 
 
-def _list_areas(view: View, states: Mapping[str, StateMessage]) -> Iterator[Metric]:
-    """Metrics of all areas; quantities that an area has never published are absent."""
+def _list_summary(summary: Summary) -> Iterator[Metric]:
+    """Metrics of the whole grid; quantities without a number that could be known are absent."""
+    extents = {
+        "voltage_pu": summary.voltage,
+        "normalised_residual": summary.residual,
+        "loading_percent": summary.loading,
+        "current_a": summary.current,
+    }
+    powers = {"head": summary.head, "loss": summary.loss, "load": summary.load, "generation": summary.generation}
+    of_extent = {name: GaugeMetricFamily(f"dsse_grid_{name}", text, labels=["quantity"]) for name, text in GRID.items()}
+    of_power = {name: GaugeMetricFamily(f"dsse_grid_{name}", text, labels=["part"]) for name, text in POWERS.items()}
+    for quantity, extent in extents.items():
+        ends = {"lowest": extent.lowest, "highest": extent.highest}
+        numbers: dict[str, float] = {"known": extent.known, "numbers": extent.total, "outside_limits": extent.outside}
+        numbers |= {name: end.value for name, end in ends.items() if end is not None}
+        for name, number in numbers.items() if extent.total else ():
+            of_extent[name].add_metric([quantity], number)
+    for part, power in powers.items():
+        for name, number in _numbers_of_power(power).items():
+            of_power[name].add_metric([part], number)
+    yield from (*of_extent.values(), *of_power.values())
+
+
+def _numbers_of_power(power: Power) -> dict[str, float]:
+    if not power.total:
+        return {}
+    known: dict[str, float | None] = {"power_kw": power.p_kw, "reactive_power_kvar": power.q_kvar}
+    known |= {"power_parts_known": power.known, "power_parts": power.total}
+    return {name: number for name, number in known.items() if number is not None}
+
+
+def _list_areas(view: View, watcher: Watcher) -> Iterator[Metric]:
+    """Metrics of all areas; quantities that an area has never published, or that are not fresh, are absent."""
     gauges = {name: GaugeMetricFamily(f"dsse_area_{name}", text, labels=["area"]) for name, text in GAUGES.items()}
     counters = {
         name: CounterMetricFamily(f"dsse_area_{name}", text, labels=["area"]) for name, text in COUNTERS.items()
@@ -127,7 +181,7 @@ def _list_areas(view: View, states: Mapping[str, StateMessage]) -> Iterator[Metr
     quality = GaugeMetricFamily("dsse_area_quality", "1 for the quality that the state has", labels=["area", "quality"])
     rejected = CounterMetricFamily("dsse_area_rejected", "Payloads rejected, by reason", labels=["area", "reason"])
     for area in view.areas:
-        state = states.get(area.name)
+        state = watcher.state_of(area.name)
         for name, number in _numbers_of(area, state).items():
             gauges[name].add_metric([area.name], number)
         for word in QUALITIES:
@@ -146,7 +200,8 @@ def _list_areas(view: View, states: Mapping[str, StateMessage]) -> Iterator[Metr
 
 def _numbers_of(area: AreaView, state: StateMessage | None) -> dict[str, float]:
     """Gauges of one area, without unknown ones."""
-    known = {"present": float(area.present), "state_age_seconds": area.age_s}
+    is_fresh = area.freshness.is_fresh
+    known = {"present": float(area.present), "fresh": float(is_fresh), "state_age_seconds": area.age_s}
     if state is not None:
         known |= {
             "scan": area.scan,
@@ -155,11 +210,11 @@ def _numbers_of(area: AreaView, state: StateMessage | None) -> dict[str, float]:
             "incarnation_start_seconds": state.header.incarnation.start_ms / 1000,
             "removed_meters": len(area.removed),
             "meters_off": len(state.meters_off),
+        }
+    if state is not None and is_fresh:
+        known |= {
             "mismatch_voltage_pu": area.mismatch_vm_pu,
             "mismatch_angle_degrees": area.mismatch_va_deg,
-        }
-    if state is not None and state.buses:
-        known |= {
             "objective": state.objective,
             "degrees_of_freedom": state.degrees_of_freedom,
             "voltage_lowest_pu": min(state.vm),

@@ -18,6 +18,7 @@ from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from coordinator.watch.http_front import LONGEST_REQUEST, PATIENCE_S, REQUEST_S, Front, make_room, open_listener
 from coordinator.watch.listen import name_address
 from coordinator.watch.metrics.collect import RunCollector, Sight, format_health
+from coordinator.watch.observe.grid_tables import GridTables
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import InvalidInputError
 
@@ -32,11 +33,12 @@ PLAIN = "text/plain; charset=utf-8"
 class MetricsPage:
     """HTTP server at ``host``:``port`` on its own thread, which answers from the newest sight until its block ends.
 
-    ``names``: names of this host that requests beyond loopback may use, beside its addresses.
+    ``names``: names of this host that requests beyond loopback may use, beside its addresses. ``known``: the grid, if
+    its scenario is known.
     """
 
-    def __init__(self, host: str, port: int, names: Iterable[str] = ()) -> None:
-        self._collector = RunCollector()
+    def __init__(self, host: str, port: int, names: Iterable[str] = (), known: GridTables | None = None) -> None:
+        self._collector = RunCollector(known)
         self._registry = CollectorRegistry()
         self._registry.register(self._collector)
         ProcessCollector(registry=self._registry)
@@ -55,9 +57,7 @@ class MetricsPage:
 
     def show(self, watcher: Watcher, now: float, trouble: str) -> None:
         """Answer from now on with the view of ``watcher`` at ``now``; ``trouble``: why there is no link, else empty."""
-        view = watcher.look(now)
-        states = {area.name: state for area in view.areas if (state := watcher.state_of(area.name))}
-        self._collector.sight = Sight(now, view, states, trouble)
+        self._collector.sight = Sight(now, watcher.look(now), watcher.copy(), trouble)
 
     def show_trouble(self, now: float, trouble: str) -> None:
         """Answer from now on with ``trouble`` alone, found at ``now``."""

@@ -23,8 +23,11 @@ from coordinator.watch.listen import parse_listen
 from coordinator.watch.metrics import metrics_page as page_module
 from coordinator.watch.metrics.collect import LOOKED_LATELY_S, RunCollector, Sight
 from coordinator.watch.metrics.metrics_page import MetricsPage
+from coordinator.watch.observe.grid_tables import GridTables
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import InvalidInputError
+from dsse_core.power_flow.newton_raphson import solve_power_flow
+from scenarios.scenario import load_scenario
 from tests.support.shown_states import a_state
 
 ALIVE, GATEWAY = (
@@ -98,11 +101,41 @@ def test_an_area_with_a_fresh_state_is_ready_and_its_numbers_are_there(page: Met
     assert found["dsse_process_present", "sub", "gateway"] == found["dsse_gateways_alive",] == 1.0
 
 
+def test_numbers_that_are_not_of_the_present_are_absent_and_counted(page: MetricsPage):
+    page.show(watcher_of_one(), time.monotonic(), "")
+    found = numbers(page)
+    assert (found["dsse_area_fresh", "area1"], found["dsse_area_voltage_lowest_pu", "area1"]) == (1.0, 1.0)
+    assert (found["dsse_grid_known", "voltage_pu"], found["dsse_grid_outside_limits", "voltage_pu"]) == (1.0, 0.0)
+    page.show(watcher_of_one(quality="stale", vm=(0.8,)), time.monotonic(), "")
+    found = numbers(page)
+    assert found["dsse_area_fresh", "area1"] == 0.0
+    assert ("dsse_area_voltage_lowest_pu", "area1") not in found
+    of_voltage = {name: found[f"dsse_grid_{name}", "voltage_pu"] for name in ("numbers", "known", "outside_limits")}
+    assert of_voltage == {"numbers": 1.0, "known": 0.0, "outside_limits": 0.0}
+
+
+def test_with_a_scenario_powers_and_loadings_are_there_beside_its_limits():
+    scenario = load_scenario("ieee33", changes={"quality.operating_lowest_vm_pu": 0.92})
+    flow, watcher = solve_power_flow(scenario.network), Watcher("run")
+    for name, rows in scenario.partition.rows_of_buses.items():
+        buses, sigma = tuple(scenario.network.table.bus_id[rows].tolist()), (1e-3,) * len(rows)
+        vm, va = tuple(flow.vm[rows].tolist()), tuple(flow.va[rows].tolist())
+        state = a_state(buses=buses, vm=vm, va=va, sigma_vm=sigma, sigma_va=sigma)
+        watcher.take_presence(f"dsse/v3/run/live/area/{name}/1-00000001", True)
+        watcher.take_state(replace(state, header=replace(state.header, sender=name)), 0.0)
+    collector = RunCollector(GridTables(scenario))
+    collector.sight = Sight(0.0, watcher.look(0.0), watcher, "")
+    found = {(s.name, *s.labels.values()): s.value for metric in collector.collect() for s in metric.samples}
+    assert found["dsse_grid_power_kw", "loss"] == pytest.approx(1000 * flow.losses.real * scenario.network.base_mva)
+    assert found["dsse_grid_outside_limits", "voltage_pu"] == (flow.vm < 0.92).sum() > 0
+    assert found["dsse_grid_power_parts_known", "loss"] == found["dsse_grid_power_parts", "loss"] == 32
+
+
 def test_all_ages_grow_while_an_area_is_silent():
     watcher = Watcher("run")
     watcher.take_state(a_state(telemetry_age=2.0, ages={"area2": 3.0}, oldest_reading=61.0), 0.0)
     collector = RunCollector()
-    collector.sight = Sight(5.0, watcher.look(5.0), watcher.states, "")
+    collector.sight = Sight(5.0, watcher.look(5.0), watcher, "")
     found = {sample.name: sample.value for metric in collector.collect() for sample in metric.samples}
     ages = {"state_age": 5.0, "telemetry_age": 7.0, "neighbour_age": 8.0, "oldest_reading": 66.0}
     assert {name: found[f"dsse_area_{name}_seconds"] for name in ages} == ages
