@@ -23,8 +23,15 @@ class Credentials:
     key: Path
 
 
+def folder_of_process(folder: Path, name: str) -> Path:
+    """The folder with the files of process ``name``: its own one in ``folder`` if there is one, else ``folder``."""
+    own = folder / name
+    return own if own.is_dir() else folder
+
+
 def credentials_in(folder: Path, name: str) -> Credentials:
     """Paths of the credentials of process ``name`` in ``folder``; the files need not exist."""
+    folder = folder_of_process(folder, name)
     return Credentials(name, folder / f"{AUTHORITY}.crt", folder / f"{name}.crt", folder / f"{name}.key")
 
 

@@ -2,6 +2,7 @@
 
 A folder of keys holds ``access.toml`` and, in PEM, ``authority.crt`` and for each process named NAME that runs here
 ``NAME.crt`` (common name NAME; the authorities between it and ``authority.crt`` may follow in it) and ``NAME.key``.
+Where there is a folder NAME in it, all of these files of this process are there.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from agents.security.access import Access
-from agents.security.credential_files import Credentials, credentials_in
+from agents.security.credential_files import Credentials, credentials_in, folder_of_process
 from dsse_core.errors import InvalidInputError
 
 log = logging.getLogger(__name__)
@@ -104,10 +105,11 @@ def _load(folder: Path, name: str, run: str | None, listens: bool) -> Keys:
     from agents.security.access_file import ACCESS_FILE, load_access  # a process without keys does not wait for it
 
     check_credentials(folder, [name], [name] if listens else [])
-    access = load_access(folder / ACCESS_FILE)
+    rules = folder_of_process(folder, name) / ACCESS_FILE
+    access = load_access(rules)
     if name in access.revoked:
         raise InvalidInputError(
-            f"access file {folder / ACCESS_FILE}",
+            f"access file {rules}",
             [f"revoked: names {name!r}, and this process would be {name!r}; no process would receive it"],
         )
     return Keys(folder, name, replace(access, run=run) if run else access, listens)

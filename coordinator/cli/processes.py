@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -266,13 +267,15 @@ def keys_commands() -> None:
 @run_id_option
 @json_option
 def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id: str | None, as_json: bool) -> None:
-    """Make a private authority, a certificate for each process of SCENARIO, and the rules of who may publish.
+    """Make a private authority, and for each process of SCENARIO a folder with all that it needs on its host: its
+    certificate and key, that of the authority, and the rules of who may publish.
 
     \b
     Examples:  dsse keys create ieee33 --out keys
                dsse keys create ieee33 --host grid-a.example --host 192.0.2.7
                dsse keys create my/neighbours.toml --host area1=grid-a.example
     """
+    from agents.security.credential_files import AUTHORITY
     from coordinator.lab.deployment.certificates import create_keys
     from coordinator.lab.deployment.run_access import access_of
     from coordinator.watch.observe.run_id import choose_run_id
@@ -281,10 +284,11 @@ def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id
 
     loaded = load_scenario(scenario)
     access = access_of(loaded.partition, choose_run_id(loaded, run_id), loaded.reading_rules)
-    create_keys(out, access, days, hosts, direct=loaded.transport.kind == "neighbours")
+    create_keys(out, access, days, hosts, direct=loaded.transport.kind == "neighbours", apart=True)
     lines = [
-        f"{out}: keys of {', '.join(access.names)}, valid for {days:g} days",
-        f"keep {out / 'authority.key'} off the hosts; each needs authority.crt and its own processes' .crt and .key",
+        f"{out}: a folder for each of {', '.join(access.names)}, valid for {days:g} days",
+        f"copy each to the host of its process, into the folder of its --keys; {out / AUTHORITY} stays away from all",
+        f"next: {shlex.join(['dsse', 'run', scenario, '--keys', str(out)])}",
     ]
     answer(as_json, {"run": access.run, "folder": out, "processes": access.names}, "\n".join(map(printable, lines)))
     if remark := find_gateway_remark(loaded.reading_rules):

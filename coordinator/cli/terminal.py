@@ -66,7 +66,10 @@ run_option = click.option(
     "--run", "run_id", help="Name of the run.  [default: the only one on the bus; with --keys the one named there]"
 )
 keys_option = click.option(
-    "--keys", type=click.Path(path_type=Path), metavar="DIR", help="Show the certificate in DIR (`dsse keys create`)."
+    "--keys",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Show the certificate in DIR, or in its folder there (`dsse keys create`).",
 )
 optional_scenario_argument = click.argument("scenario", required=False)
 run_folder_option = click.option(

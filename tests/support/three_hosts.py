@@ -78,7 +78,7 @@ def start_all(system: SystemByHand, there: Mapping[str, list[str]]) -> None:
     scenario = load_scenario(RUN)
     dict(write_area_files(scenario, RUN, [LOCAL], system.folder / "areas"))
     hosts = [f"{network}.{number}" for network in NETWORK_TO.values() for number in (1, 2)]
-    create_keys(system.folder / "keys", access_of(scenario.partition, RUN), days=1, hosts=hosts)
+    create_keys(system.folder / "keys", access_of(scenario.partition, RUN), days=1, hosts=hosts, apart=True)
     for host, area in AREA_ON.items():
         variables = host_variables(host)
         units = {f"router-{host}": "dsse-router.service", area: "dsse-agent@.service"}

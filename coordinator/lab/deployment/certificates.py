@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import ipaddress
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from cryptography import x509
@@ -15,7 +15,14 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from agents.security.access import OPERATOR, PLANT, ROUTER, WATCHER, Access, find_name_problems
 from agents.security.access_file import ACCESS_FILE, load_access, save_access
-from agents.security.credential_files import AUTHORITY, credentials_in, make_private_folder, write_private, write_public
+from agents.security.credential_files import (
+    AUTHORITY,
+    credentials_in,
+    folder_of_process,
+    make_private_folder,
+    write_private,
+    write_public,
+)
 from agents.security.credentials import check_credentials
 from coordinator.watch.run_folder import folder_error
 from dsse_core.errors import InvalidInputError
@@ -43,7 +50,11 @@ def check_keys(folder: Path, access: Access, direct: bool = False) -> None:
     """
     needed = [name for name in access.names if name not in (OPERATOR, WATCHER, *access.gateways_by_name)]
     check_credentials(folder, needed, listeners_of(access, direct))
-    path = folder / ACCESS_FILE
+    for path in dict.fromkeys(folder_of_process(folder, name) / ACCESS_FILE for name in needed):
+        _check_rules(path, access, needed)
+
+
+def _check_rules(path: Path, access: Access, needed: Collection[str]) -> None:
     rules = load_access(path)
     there = rules.neighbours
     problems = [
@@ -66,9 +77,12 @@ def check_keys(folder: Path, access: Access, direct: bool = False) -> None:
         raise InvalidInputError(f"access file {path}", [*problems, "make keys for this scenario: dsse keys create"])
 
 
-def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] = (), *, direct: bool = False) -> None:
+def create_keys(
+    folder: Path, access: Access, days: float, hosts: Sequence[str] = (), *, direct: bool = False, apart: bool = False
+) -> None:
     """Write authority, certificates, private keys and the rules of access into ``folder``, new or empty.
 
+    ``apart``: into a folder for each process with all that it needs, and one for the authority, which no process needs.
     Only the owner of the files can read a key, whatever the umask. ``hosts``: names and addresses of the listening
     processes, beside those of loopback: routers, or, ``direct``, areas; ``area1=HOST`` is one of area1 alone. All other
     certificates are for clients only, so that no other process can pose as a router.
@@ -98,6 +112,8 @@ def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] 
     try:
         with written_whole(folder, make_private_folder) as new:
             _write_keys(new, access, days, hosts, listeners)
+            if apart:
+                _set_apart(new, access.names)
     except (FileExistsError, NotADirectoryError) as error:
         raise folder_error(f"keys {folder}", error) from None
 
@@ -115,6 +131,20 @@ def _write_keys(folder: Path, access: Access, days: float, hosts: Sequence[str],
         _write_key(files.key, key)
         _write_certificate(files.certificate, _build_certificate(name, key, issuer, signing_key, days, names))
     save_access(folder / ACCESS_FILE, access)
+
+
+def _set_apart(folder: Path, names: Sequence[str]) -> None:
+    shared = [
+        (path.name, path.read_bytes()) for path in (credentials_in(folder, AUTHORITY).certificate, folder / ACCESS_FILE)
+    ]
+    for name in (*names, AUTHORITY):
+        files = credentials_in(folder, name)
+        make_private_folder(folder / name)
+        for path in (files.certificate, files.key):
+            path.rename(folder / name / path.name)
+        for shared_name, content in shared if name != AUTHORITY else ():
+            write_public(folder / name / shared_name, content)
+    (folder / ACCESS_FILE).unlink()
 
 
 def _build_authority(name: x509.Name, key: ec.EllipticCurvePrivateKey, days: float) -> x509.Certificate:

@@ -29,5 +29,5 @@ def test_who_makes_keys_or_checks_learns_that_nobody_may_send(
     assert (REMARK in capsys.readouterr().out) == is_reported
     assert run_command(["keys", "create", str(scenario), "--out", str(tmp_path / "keys")]) == 0
     output = capsys.readouterr()
-    assert "keys of router" in output.out
+    assert "a folder for each of router" in output.out
     assert (REMARK in output.err) == is_reported

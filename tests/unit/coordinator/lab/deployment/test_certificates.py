@@ -2,6 +2,7 @@
 
 import datetime
 import os
+import shutil
 import stat
 from collections.abc import Iterable
 from dataclasses import replace
@@ -248,15 +249,30 @@ def test_keys_for_other_areas_are_rejected(keys: Path):
     assert "area area1 has neighbours area2 there, none in the scenario" in str(caught.value)
 
 
-def test_dsse_keys_create_says_what_it_made_and_rejects_to_do_it_again(tmp_path: Path, capsys):
+def test_dsse_keys_create_makes_a_folder_for_each_process_with_all_that_it_needs(tmp_path: Path, capsys):
     out = tmp_path / "keys"
     command = ["keys", "create", "industrial13", "--out", str(out), "--days", "3", "--run", "trial"]
     assert run_command(command) == 0
     output = capsys.readouterr().out
-    assert f"{out}: keys of router, plant, coordinator, operator, watcher, area1, area2, valid for 3 days" in output
-    assert f"keep {out / 'authority.key'} off the hosts" in output
+    names = ("router", "plant", "coordinator", "operator", "watcher", "area1", "area2")
+    assert f"{out}: a folder for each of {', '.join(names)}, valid for 3 days" in output
+    assert f"{out / 'authority'} stays away from all" in output
+    assert output.splitlines()[-1] == f"next: dsse run industrial13 --keys {out}"
     check_keys(out, Access("trial", {"area1": ("area2",), "area2": ("area1",)}))
-    assert load_access(out / ACCESS_FILE).run == "trial"
+    assert {folder.name for folder in out.iterdir()} == {*names, "authority"}
+    assert modes_of(out.iterdir()) == {0o700}
+    assert modes_of(out.rglob("*.key")) == {0o600}
+    assert [path.parent.name for path in out.rglob("authority.key")] == ["authority"]
+    for name in names:
+        host = tmp_path / f"host of {name}"
+        shutil.copytree(out / name, host / name)
+        for folder in (host, host / name):
+            keys = load_keys(folder, name, listens=name == "router")
+            assert keys is not None
+            assert keys.access.run == "trial"
+    save_access(out / "area1" / ACCESS_FILE, replace(ACCESS, run="trial", revoked=("area2",)))
+    with pytest.raises(InvalidInputError, match=r"area1.access.toml(?s:.*)revoked: area2 is denied everything"):
+        check_keys(out, Access("trial", {"area1": ("area2",), "area2": ("area1",)}))
     assert run_command(command) == 2
     assert "is not empty; keys are never overwritten: choose a new folder" in capsys.readouterr().err
 
