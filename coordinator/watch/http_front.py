@@ -72,11 +72,17 @@ class Front:
 
     @classmethod
     def of(cls, host: str, port: int, names: Iterable[str] = (), *, by_address: bool = False) -> Front:
-        """The front of a server at ``host``:``port``; ``names``: of this host, beyond loopback."""
-        others = LOOPBACK_NAMES if is_loopback(host) else tuple(name.lower() for name in names)
+        """The front of a server at ``host``:``port``.
+
+        ``names``: ``NAME`` or ``NAME:PORT``, of this host or of a proxy before it, whose port may be a usual one, which
+        browsers leave out.
+        """
+        given = tuple(name.lower() for name in names)
+        others = (*(LOOPBACK_NAMES if is_loopback(host) else ()), *(name for name in given if ":" not in name))
         own = name_address(host, port)
-        usual = (*others, own.rpartition(":")[0]) if port in (80, 443) else ()  # browsers leave these ports out
-        return cls((own, *(f"{name}:{port}" for name in others), *usual), by_address and not is_loopback(host))
+        usual = (*others, own.rpartition(":")[0]) if port in (80, 443) else ()
+        hosts = (own, *(f"{name}:{port}" for name in others), *usual, *given)
+        return cls(tuple(dict.fromkeys(hosts)), by_address and not is_loopback(host))
 
     def find_rejection(self, method: str, headers: Iterable[tuple[str, str]]) -> Rejection | None:
         """The answer to a request that is refused; None for one that is let in. ``headers``: names in small letters."""

@@ -31,8 +31,18 @@ if TYPE_CHECKING:  # the real imports stand in the command, so that every other 
 @click.option("--listen", default="127.0.0.1:8080", show_default=True, metavar="ADDR:PORT", help="Where; port 0: any.")
 @click.option("--tls-cert", type=click.Path(path_type=Path), help="Certificate (PEM), needed beyond loopback.")
 @click.option("--tls-key", type=click.Path(path_type=Path), help="Its private key (PEM).")
-@click.option("--token-file", type=click.Path(path_type=Path), help="Who opens the page shows the token in this file.")
-@click.option("--name", "names", multiple=True, help="Name under which browsers ask for this host; repeatable.")
+@click.option(
+    "--token-file",
+    type=click.Path(path_type=Path),
+    help="Keep the token here; made if missing.",
+)
+@click.option(
+    "--name",
+    "names",
+    multiple=True,
+    metavar="NAME[:PORT]",
+    help="Name for browsers, or of a proxy; repeatable.",
+)
 @address_options
 def serve(
     scenario: str | None,
@@ -49,7 +59,8 @@ def serve(
     """Serve a page: the feeder coloured by voltage, profile, meters, areas and their reasons, events, history.
 
     With SCENARIO, a shipped name or a file, the network is drawn and powers are shown; without it, what the bus tells.
-    The page can only be read. Beyond loopback it needs a certificate and a token. Ctrl-C ends it and nothing else.
+    The page can only be read. Beyond loopback it needs a certificate, and a reader the token that is printed.
+    Ctrl-C ends it and nothing else.
 
     \b
     Examples:  dsse serve
@@ -76,7 +87,7 @@ def serve(
         else:
             sources = _live(scenario, changes, address)
         with sources as source:
-            serve_source(source, place, names, lambda url: show(f"open {url}"))
+            serve_source(source, place, names, lambda url: show(place.invite(url)))
     except KeyboardInterrupt:
         return 0
     return 0

@@ -160,7 +160,8 @@ def _show_on(look: Callable[[], Watcher], shown: Shown, *, live: bool) -> None:
     "--name",
     "names",
     multiple=True,
-    help="Name of this host under which it is asked, beside its addresses; repeatable.",
+    metavar="NAME[:PORT]",
+    help="Name under which it is asked, also of a proxy, beside its addresses; repeatable.",
 )
 @connect_option()
 @direct_option

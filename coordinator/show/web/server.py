@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import secrets
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import quote, urlsplit
 
 import uvicorn
 
 from agents.security.certificate_checks import find_pair_problems
+from agents.security.credential_files import write_private
 from coordinator.show.web.app import make_app
 from coordinator.show.web.readers import PatientProtocol, PatientServer
 from coordinator.show.web.sources import Source
@@ -18,17 +21,22 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import read_bounded
 
 LEAST_TOKEN, MOST_TOKEN = 16, 4096  # characters
+MADE_TOKEN = 24  # bytes
 
 
 @dataclass(frozen=True)
 class Place:
-    """The address of a page: ``host`` and ``port`` (0: a free one), certificate and key in PEM, and a token."""
+    """The address of a page: ``host`` and ``port`` (0: a free one), certificate and key in PEM, and a token.
+
+    ``names``: further ones under which browsers ask for it, on loopback by a proxy.
+    """
 
     host: str
     port: int
     certificate: Path | None = None
     key: Path | None = None
     token: str | None = None
+    names: Sequence[str] = ()
 
     @property
     def is_loopback(self) -> bool:
@@ -39,6 +47,17 @@ class Place:
         """The URL of the page at ``port``."""
         return f"{'https' if self.certificate else 'http'}://{name_address(self.host, port)}/"
 
+    def invite(self, url: str) -> str:
+        """The whole address to open, with its token; ``url``: that of the page. On loopback that of a proxy, too."""
+        shown = f"/?token={quote(self.token, safe='')}" if self.token else "/"
+        lines = [f"open {url.removesuffix('/')}{shown}"]
+        if self.names and self.is_loopback:
+            lines.insert(0, f"through a proxy: https://{self.names[0]}{shown}")
+        elif self.names:
+            name, _, port = self.names[0].partition(":")
+            lines = [f"open https://{name}:{port or urlsplit(url).port}{shown}"]
+        return "\n".join(lines)
+
 
 def choose_place(
     listen: str, certificate: Path | None, key: Path | None, token_file: Path | None, names: tuple[str, ...]
@@ -46,8 +65,8 @@ def choose_place(
     """The place that the options describe.
 
     Raises:
-        InvalidInputError: naming all options that are wrong or missing; beyond loopback certificate, key, token and a
-            name are needed.
+        InvalidInputError: naming all options that are wrong or missing; beyond loopback certificate, key and a name are
+            needed. A token is made there, and kept in ``token_file``, if one is given that does not exist.
     """
     host, port = parse_listen(listen, "127.0.0.1:8080")
     problems = []
@@ -55,22 +74,25 @@ def choose_place(
         problems.append("--tls-cert and --tls-key go together")
     if certificate and key:
         problems += find_pair_problems(certificate, key)
-    token = None
-    if token_file is not None:
+    token, is_kept = secrets.token_urlsafe(MADE_TOKEN), token_file is not None and token_file.exists()
+    if token_file is not None and is_kept:
         try:
             token = read_bounded(token_file, MOST_TOKEN).decode("ascii").strip()
         except UnicodeDecodeError:
             problems.append(f"--token-file {token_file}: a token is of ASCII letters and digits")
         except OSError as error:
             problems.append(f"--token-file {token_file}: {error.strerror}")
-        if token is not None and len(token) < LEAST_TOKEN:
+        if len(token) < LEAST_TOKEN:
             problems.append(f"--token-file {token_file}: {len(token)} characters; {LEAST_TOKEN} at least")
-    place = Place(host, port, certificate, key, token)
+    needs_token = token_file is not None or not is_loopback(host)
+    place = Place(host, port, certificate, key, token if needs_token else None, names)
     if not place.is_loopback:
-        needed = {"--tls-cert and --tls-key": certificate, "--token-file": token_file, "--name": names or None}
+        needed = {"--tls-cert and --tls-key": certificate, "--name": names or None}
         problems += [f"beyond loopback {name} is needed" for name, given in needed.items() if given is None]
     if problems:
         raise InvalidInputError(f"dsse serve --listen {listen}", problems)
+    if token_file is not None and not is_kept:
+        write_private(token_file, f"{token}\n".encode())
     return place
 
 

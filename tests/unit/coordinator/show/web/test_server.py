@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import re
 import socket
 import ssl
 from collections.abc import Callable
@@ -23,11 +24,13 @@ from coordinator.show.web import app, readers, server
 from coordinator.show.web.moment import Moments
 from coordinator.show.web.server import Place, choose_place
 from coordinator.watch import http_front
+from coordinator.watch.http_front import Front
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import InvalidInputError
 from tests.support.served import live, played, serving, wait_for
 from tests.support.shown_states import a_state
 
+INVITED = r"open https://feeder\.example:8443/\?token=([\w-]{32})"
 TOKEN = "0123456789abcdef"
 SHOWN = {"authorization": f"Bearer {TOKEN}"}
 
@@ -138,12 +141,54 @@ def test_beyond_loopback_a_certificate_a_token_and_a_name_are_needed():
     with pytest.raises(InvalidInputError) as caught:
         choose_place("0.0.0.0:8080", None, None, None, ())
     text = str(caught.value)
-    assert all(word in text for word in ("--tls-cert and --tls-key", "--token-file", "--name"))
+    assert all(word in text for word in ("--tls-cert and --tls-key", "--name"))
+    assert "--token-file" not in text
+
+
+def test_a_token_is_made_once_and_stands_in_the_whole_address(tmp_path: Path):
+    keys = tmp_path / "keys"
+    create_keys(keys, Access("run", {"area1": ()}), days=1)
+
+    def place(token_file: Path | None, listen: str = "0.0.0.0:0") -> Place:
+        return choose_place(listen, keys / "router.crt", keys / "router.key", token_file, ("feeder.example",))
+
+    first, second = (re.fullmatch(INVITED, place(None).invite("https://0.0.0.0:8443/")) for _ in range(2))
+    assert first
+    assert second
+    assert first[1] != second[1]
+    kept = place(tmp_path / "token")
+    assert kept == place(tmp_path / "token")
+    assert (tmp_path / "token").stat().st_mode & 0o777 == 0o600
+    (tmp_path / "token").write_text("a+b/c=0123456789")
+    assert "?token=a%2Bb%2Fc%3D0123456789" in place(tmp_path / "token").invite("https://0.0.0.0:8443/")
+    assert (
+        choose_place("127.0.0.1:0", None, None, None, ()).invite("http://127.0.0.1:80/") == "open http://127.0.0.1:80/"
+    )
+    proxied = choose_place("127.0.0.1:0", None, None, None, ("feeder.example",)).invite("http://127.0.0.1:80/")
+    assert proxied == "through a proxy: https://feeder.example/\nopen http://127.0.0.1:80/"
+
+
+@pytest.mark.parametrize(
+    ("host", "is_own"),
+    [
+        ("feeder.example", True),
+        ("feeder.example:8080", True),
+        ("other.example:8443", True),
+        ("other.example", False),
+        ("127.0.0.1:8080", True),
+        ("evil.example:8080", False),
+        ("feeder.example:8443", False),
+    ],
+)
+def test_on_loopback_a_proxy_asks_under_the_names_that_are_given(host: str, is_own: bool):
+    front = Front.of("127.0.0.1", 8080, ["Feeder.example", "other.example:8443"])
+    headers = [("host", host), ("origin", f"https://{host}")]
+    assert (front.find_rejection("GET", headers) is None) == is_own
 
 
 @pytest.mark.parametrize("listen", ["", "8080", ":8080", "127.0.0.1:", "127.0.0.1:x", "127.0.0.1:70000", "127.0.0.1:٣"])
 def test_a_place_that_is_none_is_named(listen: str):
-    with pytest.raises(InvalidInputError, match=r"write 127\.0\.0\.1:8080"):
+    with pytest.raises(InvalidInputError, match=r"HOST:PORT looks like 127\.0\.0\.1:8080"):
         choose_place(listen, None, None, None, ())
 
 
@@ -156,7 +201,7 @@ def test_a_place_that_is_none_is_named(listen: str):
         (lambda keys: (keys / "area1.key").rename(keys / "router.key"), "router.key: does not belong to .*router.crt"),
         (lambda keys: encrypt(keys / "router.key"), "router.key: is protected by a password"),
         (lambda keys: let_expire(keys), "router.crt: expired at"),
-        (lambda keys: (keys / "token").unlink(), "token: No such file or directory"),
+        (lambda keys: ((keys / "token").unlink(), (keys / "token").mkdir()), "token: is a folder"),
     ],
 )
 def test_files_that_cannot_be_used_are_named_before_anything_is_served(
