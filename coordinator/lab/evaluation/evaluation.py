@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from agents.strategies.installed import list_strategies, load_strategy
 from coordinator.lab.evaluation.comparison import compare
 from coordinator.lab.evaluation.result import RunOutcome, make_area_results
 from coordinator.lab.evaluation.verdict import make_verdict
+from coordinator.watch.observe.causes import find_causes
 from coordinator.watch.observe.duplicates import Duplicate
 from coordinator.watch.observe.observer import Observer
 from dsse_core.code_places import has_whole
@@ -145,11 +147,13 @@ def evaluate(
     of faults. ``duplicates``: areas, plants and gateways that ran twice.
     """
     comparison = compare(scenario.partition, observer.states, telemetry.truth, centralised.report)
+    now = started + (wall_s if virtual_s is None else virtual_s)
+    shown_at = now if virtual_s is not None else time.time() - (time.monotonic() - now)
     return RunOutcome(
         scenario=scenario,
         run=run,
         verdict=make_verdict(observer, comparison, reason, wall_s, virtual_s),
-        area_results=make_area_results(observer, comparison, started + (wall_s if virtual_s is None else virtual_s)),
+        area_results=make_area_results(observer, comparison, now),
         comparison=comparison,
         centralised=centralised.report,
         centralised_failure=centralised.failure,
@@ -158,6 +162,7 @@ def evaluate(
         faults=faults,
         duplicates=tuple(duplicates),
         readings=telemetry.union,
+        causes=find_causes(observer.watcher.look(now), shown_at),
     )
 
 

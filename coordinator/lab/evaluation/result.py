@@ -13,8 +13,10 @@ from coordinator.lab.evaluation.answers import head_json, report_as_json, versio
 from coordinator.lab.evaluation.comparison import Comparison
 from coordinator.lab.evaluation.run_tables import make_run_tables
 from coordinator.lab.evaluation.verdict import Verdict
+from coordinator.watch.observe.causes import Cause
 from coordinator.watch.observe.duplicates import Duplicate
 from coordinator.watch.observe.observer import Observer, Sample
+from coordinator.watch.observe.view_json import describe_causes
 from coordinator.watch.observe.watcher import count_exchanges
 from coordinator.watch.tables.table_files import write_json, write_tables
 from dsse_core.estimation.bad_data import BadDataReport
@@ -63,6 +65,7 @@ class RunOutcome(WithTables):
     ran twice at once.
 
     ``centralised``: None where that estimate failed; ``centralised_failure``: the reason. ``readings``: of all areas.
+    ``causes``: of what was wrong at the verdict, the first one first.
     """
 
     scenario: Scenario
@@ -77,6 +80,7 @@ class RunOutcome(WithTables):
     faults: Mapping[str, int]
     duplicates: tuple[Duplicate, ...]
     readings: Sequence[Measurement] = ()
+    causes: tuple[Cause, ...] = ()
 
     def in_folder(self, folder: Path) -> RunResult:
         return RunResult(**{each.name: getattr(self, each.name) for each in fields(self)}, folder=folder)
@@ -159,6 +163,7 @@ def as_json(result: RunOutcome) -> dict[str, Any]:
         **head_json(result.scenario),
         "run": result.run,
         "verdict": asdict(result.verdict),
+        "causes": describe_causes(result.causes),
         "areas": {area.name: _area_json(area) for area in result.area_results},
         "centralised": _centralised_json(result),
         "timing_s": dict(result.timing_s),

@@ -12,7 +12,7 @@ from agents.messages.checks import MessageError, should_log
 from agents.messages.keys import clock_key, live_key, name_of_live, sender_of
 from agents.messages.packing import ClockMessage, Header, Incarnation, ReadingsMessage, StateMessage, decode, encode
 from agents.runtime.presence import Presence, begin_incarnation, read_leave
-from agents.security.access import COORDINATOR
+from agents.security.access import COORDINATOR, ROUTERS
 from agents.transport.zenoh_bus import Session
 from coordinator.lab.evaluation.used_readings import UsedReadings
 from coordinator.lab.process_run.fork_server import Ended, Started
@@ -160,6 +160,8 @@ def take_update(run: RunUnderWay, observer: Observer, item: object) -> str | Non
                 ("left", {"leave_reason": leave_reason}) if leave_reason else ("appeared" if alive else "vanished", {})
             )
             run.events.write(what, at, role=role, name=name, **why)
+            if role in ("plant", "gateway"):
+                observer.watcher.take_presence(key, alive, at)
             if role == "area":
                 observer.take_presence(name, alive, at)
                 if run.joined is None and not observer.find_absent():
@@ -172,9 +174,17 @@ def take_update(run: RunUnderWay, observer: Observer, item: object) -> str | Non
         case ProcessUpdate(at, update):
             reason = take_process_update(run, item)
             if reason:  # the bus may not have reported its death yet
-                observer.take_presence(update.name, False, at)
+                _note_death(run, observer, update.name, at)
             return reason
     return None
+
+
+def _note_death(run: RunUnderWay, observer: Observer, name: str, at: float) -> None:
+    observer.take_presence(name, False, at)
+    for incarnation in run.presence.incarnations_of("plant", name):
+        observer.watcher.take_presence(live_key(run.id, "plant", name, incarnation), False, at)
+    if name in ROUTERS:
+        observer.watcher.is_linked = False
 
 
 def note_duplicates(run: RunUnderWay, duplicates: Sequence[Duplicate], at: float) -> None:

@@ -11,7 +11,13 @@ from coordinator.show.figures.residuals_figure import WORDS
 from coordinator.show.figures.style import Drawing
 from coordinator.show.report.page import MAX_ROWS, Page, PageTable, write_page
 from coordinator.show.report.settings import find_origin
-from coordinator.show.report.text import describe_run, list_findings, name_outcome, tabulate_areas, tabulate_gaps
+from coordinator.show.report.text import (
+    describe_run,
+    list_findings,
+    name_outcome,
+    tabulate_areas,
+    tabulate_gaps,
+)
 from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.printable import printable, shortened
 from dsse_core.results.meters import UNIT, read_in_own_units
@@ -92,7 +98,7 @@ def make_run_page(result: RunResult, drawings: Sequence[Drawing], arguments: Seq
         subtitle=f"{describe_run(scenario)}; run {result.run}",
         outcome=outcome[:1].upper() + outcome[1:],
         good=verdict.consensus,
-        reasons=(verdict.reason or "").splitlines(),
+        reasons=[*map(str, result.causes), *(verdict.reason or "").splitlines()],
         findings=list_findings(result),
         tables=[
             PageTable("Gaps and errors", *tabulate_gaps(result)),

@@ -16,9 +16,10 @@ TextTable = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 
 def format_verdict(result: RunResult) -> str:
-    """The verdict of a run as text: outcome, reason, table of gaps, table of areas, findings, and the run folder."""
+    """The verdict of a run as text: outcome, causes, reason, table of gaps, table of areas, findings, run folder."""
     verdict = result.verdict
-    lines = [f"{name_outcome(verdict)}: {printable(describe_run(result.scenario))}"]
+    about = [*(line for cause in result.causes for line in cause.lines), describe_run(result.scenario)]
+    lines = [f"{name_outcome(verdict)}: {printable(about[0])}", *(f"  {printable(line)}" for line in about[1:])]
     if verdict.reason:
         lines.append(f"  {printable_lines(verdict.reason)}")
     lines += ["", format_table(*tabulate_gaps(result)), "", format_table(*tabulate_areas(result)), ""]

@@ -117,6 +117,12 @@ class Cause:
         since = "" if self.since is None else f" since {write_time(self.since)}"
         return f"{self.what}{since}: {self.action}"
 
+    @property
+    def lines(self) -> list[str]:
+        """The cause, and its effects in a line below, for a text that has the notes of all areas elsewhere."""
+        effects = ", ".join(effect.partition(": ")[0] for effect in self.effects)
+        return [str(self), *([f"  effects: {effects}"] if effects else [])]
+
 
 def write_time(at: float) -> str:
     """Time of day here; of a time from the begin of a run, the seconds."""

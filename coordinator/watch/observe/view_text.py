@@ -92,11 +92,9 @@ def fit_view(
 def _write_causes(causes: Sequence[Cause], width: int) -> Iterator[tuple[str, str]]:
     """Lines of all causes, the first one in the first line, each with its effects below it."""
     for k, cause in enumerate(causes):
-        yield from ((line, "bold red" if k == 0 else "red") for line in _wrap(str(cause), width))
-        if cause.effects:
-            more = f"; and {len(cause.effects) - MOST_NOTES} more" if len(cause.effects) > MOST_NOTES else ""
-            effects = f"effects: {'; '.join(cause.effects[:MOST_NOTES])}{more}"
-            yield from ((line, "") for line in _wrap(effects, width, "    "))
+        what, *effects = cause.lines
+        yield from ((line, "bold red" if k == 0 else "red") for line in _wrap(what, width))
+        yield from ((line, "") for effect in effects for line in _wrap(effect.strip(), width, "  "))
 
 
 def _write_view(view: View, width: int, summary: Summary | None) -> Iterator[tuple[str, str]]:

@@ -70,6 +70,9 @@ def test_a_liar_is_named_and_there_is_neither_consensus_nor_a_good_state_of_who_
     result = coordinator.simulate("ieee33-liar", out=tmp_path / "out", plots=False)
     assert not result.verdict.consensus
     assert "area1 and area3 differ" in str(result.verdict.reason)
+    first_line, effects, *_ = format_verdict(result).splitlines()
+    assert ": area1 and area3 disagree at bus 6 by 0.0143 p.u. since " in first_line
+    assert effects.split(": ")[1] == "area1 is degraded, area2 is degraded, area3 is degraded"
     assert result.faults["lied"] > 0
     (receives,) = [area for area in result.area_results if area.name == "area1"]
     assert receives.quality == "degraded"
@@ -114,6 +117,9 @@ def test_an_area_killed_at_last_is_missed_and_its_last_state_is_not_called_good(
     options = {"on_update": pass_when_reported} if run is coordinator.run else {}
     result = run(scenario, out=tmp_path / "out", plots=False, timeout_s=DEADLINE_S, **options)
     assert result.verdict.reason == f"no consensus within {DEADLINE_S:g} s: {gone}"
+    (cause,) = result.causes
+    assert (cause.what, cause.areas) == ("area2 is gone", ("area2",))
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["causes"][0]["what"] == cause.what
     assert {area.name: area.quality for area in result.area_results} == {
         "area1": "degraded",
         "area2": "stale",
