@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
+import scenarios
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
 from coordinator.lab.deployment.split import area_files
 from coordinator.lab.simulator.simulator import STARTED_AT, SimulatedBus
 from coordinator.watch.observe.causes import Cause, find_causes
+from coordinator.watch.observe.grid_tables import GridTables, find_tables
+from coordinator.watch.observe.summary import summarise
 from coordinator.watch.observe.watcher import Watcher
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
@@ -22,11 +27,14 @@ NO_BUS = ("tcp/127.0.0.1:0",)
 
 
 class Feeder:
-    """The 33-bus feeder in three areas, its plant and a watcher. ``area1`` is the hub; ``older``: areas with the files
-    of an older split."""
+    """The 33-bus feeder in three areas, its plant and a watcher. ``area1`` is the hub.
+
+    ``older``: areas with the files of an older split.
+    """
 
     def __init__(self, changes: Mapping[str, Any], older: tuple[str, ...] = ()) -> None:
         scenario = load_scenario("ieee33", changes={"run.timeout_s": 60.0, **changes})
+        self.known = GridTables(scenario)
         files = {file.area.name: file for file in area_files(scenario, "sim", NO_BUS, time=STARTED_AT)}
         before = load_scenario(
             "ieee33", changes={**changes, "run.timeout_s": 60.0, "measurements.flow.sigma_percent": 2}
@@ -51,14 +59,17 @@ class Feeder:
         self.show("plant", "plant", False, self.bus.now)
 
     def find_causes(self) -> tuple[Cause, ...]:
-        return find_causes(self.watcher.look(self.bus.now), self.bus.now)
+        view = self.watcher.look(self.bus.now)
+        summary = summarise(find_tables(self.watcher, view, self.known), self.known)
+        return find_causes(view, self.bus.now, summary)
 
 
 @dataclass(frozen=True)
 class Fault:
     """A fault that concerns one area beside the hub. ``words``: of the cause that it must be named by.
 
-    ``changes``: of the scenario; ``act``: at FAULT_AT_S; ``is_older``: the area has the file of an older split.
+    ``changes``: of the scenario; ``act``: at FAULT_AT_S; ``is_older``: the area has the file of an older split;
+    ``rates``: a branch of it has a rating.
     """
 
     kind: str
@@ -66,6 +77,20 @@ class Fault:
     changes: Callable[[str], dict[str, Any]] = lambda area: {}
     act: Callable[[Feeder, str], None] = lambda feeder, area: None
     is_older: bool = False
+    rates: bool = False
+
+
+RATED = {"area2": ("9", "10", 28.5), "area3": ("30", "31", 20.5)}  # branch and rating, A: it carries 112 % of that
+
+
+def rate(folder: Path, area: str) -> str:
+    """Path of the network with a rating of one branch in ``area`` that it exceeds."""
+    one, other, rating = RATED[area]
+    text = (files(scenarios) / "cases/ieee33.toml").read_text()
+    branch = f"from = {one}, to = {other},"
+    path = folder / "rated.toml"
+    path.write_text(text.replace(branch, f"{branch} rating_a = {rating},"))
+    return str(path)
 
 
 METER = {"area2": "p_injection@10", "area3": "p_injection@28"}
@@ -94,6 +119,12 @@ FAULTS = {
         "the readings of {1} in {0} are wrong since 0.0 s: check them; they are left out",
         lambda area: {"telemetry.gross_error": [{"meter": METER[area], "sigmas": 40.0}]},
     ),
+    "overload": Fault("loading", "branch {2} is at 11", rates=True),
+    "undervoltage": Fault(
+        "low voltage",
+        "bus ",
+        lambda area: {"quality.operating_lowest_vm_pu": 0.9223},  # bus 18 of area2 is below, and bus 33 of area3
+    ),
     "router dead": Fault(
         "router",
         "no area has been received since 3.8 s: start the router again, or look at the network to it",
@@ -102,10 +133,12 @@ FAULTS = {
 }
 
 
-def run_with(faults: Mapping[str, str]) -> Feeder:
-    """The feeder after all of ``faults``, name -> the area that it concerns."""
+def run_with(faults: Mapping[str, str], folder: Path) -> Feeder:
+    """The feeder after all of ``faults``, name -> the area that it concerns; ``folder``: for files."""
     changes: dict[str, Any] = {"run.scan_s": 1.0}
     for name, area in faults.items():
+        if FAULTS[name].rates:
+            changes["network"] = rate(folder, area)
         for key, value in FAULTS[name].changes(area).items():
             changes[key] = [*changes[key], *value] if isinstance(value, list) and key in changes else value
     feeder = Feeder(changes, tuple(area for name, area in faults.items() if FAULTS[name].is_older))
@@ -117,4 +150,4 @@ def run_with(faults: Mapping[str, str]) -> Feeder:
 
 
 def words_of(fault: str, area: str) -> str:
-    return FAULTS[fault].words.format(area, METER[area])
+    return FAULTS[fault].words.format(area, METER[area], "-".join(RATED[area][:2]))

@@ -120,7 +120,8 @@ class Shown:
             found["branches"] = tables.branches
         if self.meters:
             found["meters"] = worst_first(Table("meters", tables.meters))
-        return view, found, find_causes(view, time.time()), summarise(tables, self.known)
+        summary = summarise(tables, self.known)
+        return view, found, find_causes(view, time.time(), summary), summary
 
     def write(self, watcher: Watcher) -> str:
         """The view as text, or as JSON in a line."""

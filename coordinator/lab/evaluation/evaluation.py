@@ -13,9 +13,11 @@ from agents.strategies.installed import list_strategies, load_strategy
 from coordinator.lab.evaluation.comparison import compare
 from coordinator.lab.evaluation.result import RunOutcome, make_area_results
 from coordinator.lab.evaluation.verdict import make_verdict
-from coordinator.watch.observe.causes import find_causes
+from coordinator.watch.observe.causes import Cause, find_causes
 from coordinator.watch.observe.duplicates import Duplicate
+from coordinator.watch.observe.grid_tables import GridTables, find_tables
 from coordinator.watch.observe.observer import Observer
+from coordinator.watch.observe.summary import summarise
 from dsse_core.code_places import has_whole
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data, process_bad_data_with_plan
@@ -162,8 +164,14 @@ def evaluate(
         faults=faults,
         duplicates=tuple(duplicates),
         readings=telemetry.union,
-        causes=find_causes(observer.watcher.look(now), shown_at),
+        causes=_find_causes(scenario, observer, now, shown_at),
     )
+
+
+def _find_causes(scenario: Scenario, observer: Observer, now: float, shown_at: float) -> tuple[Cause, ...]:
+    """Root causes at time ``now`` of the observer's clock."""
+    view, known = observer.watcher.look(now), GridTables(scenario)
+    return find_causes(view, shown_at, summarise(find_tables(observer.watcher, view, known), known))
 
 
 def start_reference_estimate(estimate: Callable[[], Centralised]) -> Future[Centralised]:

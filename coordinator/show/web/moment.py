@@ -132,12 +132,12 @@ class Moments:
         tables = find_tables(watcher, view, self.known)
         links = find_links(view)
         self._note(at, view, links, lambda: tables)
-        self.tables = tables
+        self.tables, summary = tables, summarise(tables, self.known)
         return {
-            "causes": describe_causes(find_causes(view, at)),
+            "causes": describe_causes(find_causes(view, at, summary)),
             "at": at,
             "view": describe_view(view),
-            "summary": describe_summary(summarise(tables, self.known)),
+            "summary": describe_summary(summary),
             **draw_tables(tables, has_grid=self.known is not None),
             "links": links,
             "events": list(self.events.kept),

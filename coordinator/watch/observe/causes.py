@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 from agents.protocol.quality import GOOD
 from coordinator.watch.observe.notes import BAD_DATA, Noted
+from coordinator.watch.observe.summary import Summary
 from coordinator.watch.observe.view import OVER_S, AreaView, View
 from dsse_core.printable import listed, printable, shortened
 
@@ -129,13 +130,13 @@ def write_time(at: float) -> str:
     return time.strftime("%H:%M:%S", time.localtime(at)) if at >= EPOCH_S else f"{at:.1f} s"
 
 
-def find_causes(view: View, at: float) -> tuple[Cause, ...]:
+def find_causes(view: View, at: float, summary: Summary | None = None) -> tuple[Cause, ...]:
     """The root causes of what is wrong in ``view``, the first one first; empty where nothing is.
 
-    ``at``: time of the view, s since 1970 or from the begin of a playback.
+    ``at``: time of the view, s since 1970 or from the begin of a playback. ``summary``: of its grid.
     """
     found = _Findings(view, at - view.now)
-    roots = list(found.find())
+    roots = [*found.find(), *(found.find_violations(summary) if summary else ())]
     kinds = {cause.kind for cause in roots}
     roots = [cause for cause in roots if not EXPLAINED.get(cause.kind, set()) & kinds]
     if all(cause.kind in HARMLESS for cause in roots):
@@ -378,6 +379,23 @@ class _Findings:
                 since = min(known) if len(known) == len(removed) else None
                 yield self.make(BAD_DATA, words, since, areas=(area.name,), **_find_places(meters))
 
+    def find_violations(self, summary: Summary) -> Iterator[Cause]:
+        """The branch and the bus farthest beyond their limits."""
+        loading, voltage, limits = summary.loading, summary.voltage, summary.limits
+        for worst in loading.worst[:1]:
+            words = {"branch": worst.at, "percent": f"{worst.value:.0f}", "more": _and_more(loading.outside)}
+            yield self.make("loading", words, None, branches=tuple(found.at for found in loading.worst))
+        for worst in voltage.worst[:1]:
+            is_low = worst.value < limits.lowest_vm
+            limit, kind = (limits.lowest_vm, "low voltage") if is_low else (limits.highest_vm, "high voltage")
+            words = {
+                "bus": worst.at,
+                "vm": f"{worst.value:.4g}",
+                "limit": f"{limit:g}",
+                "more": _and_more(voltage.outside),
+            }
+            yield self.make(kind, words, None, buses=tuple(int(found.at) for found in voltage.worst))
+
     def find_rest(self) -> Iterator[Cause]:
         """The worst state that is not good, where no cause is known; work under way comes to its end by itself."""
         poor = [area for area in self.there.values() if area.quality != GOOD]
@@ -407,6 +425,10 @@ class _Difference(NamedTuple):
     @property
     def words(self) -> str:
         return f"{self.vm:.3g} p.u." if self.vm >= self.va else f"{math.degrees(self.va):.3g} deg"
+
+
+def _and_more(outside: int) -> str:
+    return f" (and {outside - 1} more)" if outside > 1 else ""
 
 
 def _is_before(since: float | None, lost_at: float) -> bool:

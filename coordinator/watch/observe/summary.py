@@ -46,7 +46,7 @@ class Power:
 class Summary:
     """Voltage of buses in p.u., loading in percent and current in A of branches in service, normalised residuals of
     meters in use; powers: injection of the substation, losses, loads and generation of the other buses by the sign of
-    their injections. Only voltage and residual are known without a scenario.
+    their injections. ``limits``: of operation. Only voltage and residual are known without a scenario.
     """
 
     voltage: Extent
@@ -57,6 +57,7 @@ class Summary:
     loss: Power = Power()
     load: Power = Power()
     generation: Power = Power()
+    limits: OperatingLimits = DEFAULT_OPERATING_LIMITS
 
 
 def summarise(tables: Tables, known: GridTables | None) -> Summary:
@@ -64,7 +65,7 @@ def summarise(tables: Tables, known: GridTables | None) -> Summary:
     limits = known.scenario.operating_limits if known else DEFAULT_OPERATING_LIMITS
     voltage, residual = _find_voltage(tables.buses, limits), _find_residual(tables.meters, limits)
     if known is None or tables.branches is None:
-        return Summary(voltage, residual)
+        return Summary(voltage, residual, limits=limits)
     buses, branches = tables.buses, tables.branches
     ids, fresh, used = branches.branch, branches.fresh, branches.in_service
     rated = used & known.is_rated
@@ -82,6 +83,7 @@ def summarise(tables: Tables, known: GridTables | None) -> Summary:
         loss=_add_up(loss[0], loss[1], used),
         load=_add_up(np.maximum(-p, 0.0), np.maximum(-q, 0.0), elsewhere),
         generation=_add_up(np.maximum(p, 0.0), np.maximum(q, 0.0), elsewhere),
+        limits=limits,
     )
 
 

@@ -22,18 +22,19 @@ from tests.support.shown_states import published_by
 
 TABLE = Path(__file__).parents[5] / "docs/reference/causes.md"
 CERTAIN = [("area killed", "bad meter"), ("link cut", "clock off"), ("wrong file", "liar")]
+HIDES = {"gateway dead": {"overload", "undervoltage"}}  # without readings the present of the grid is not known
 PAIRS = [pair for pair in itertools.combinations(FAULTS, 2) if "router dead" not in pair]
 
 
-def test_nothing_is_wrong_in_a_feeder_without_fault():
-    feeder = run_with({})
+def test_nothing_is_wrong_in_a_feeder_without_fault(tmp_path: Path):
+    feeder = run_with({}, tmp_path)
     assert {area.quality for area in feeder.watcher.look(SEEN_AT_S).areas} == {"good"}
     assert feeder.find_causes() == ()
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_has_one_root_cause_and_all_else_is_its_effect(fault: str):
-    feeder = run_with({fault: "area2"})
+def test_a_fault_has_one_root_cause_and_all_else_is_its_effect(fault: str, tmp_path: Path):
+    feeder = run_with({fault: "area2"}, tmp_path)
     (cause,) = feeder.find_causes()
     assert str(cause).startswith(words_of(fault, "area2"))
     poor = [area.name for area in feeder.watcher.look(SEEN_AT_S).areas if area.quality != "good"]
@@ -41,18 +42,32 @@ def test_a_fault_has_one_root_cause_and_all_else_is_its_effect(fault: str):
     assert [effect.split()[0] for effect in cause.effects] == [name for name in poor if name not in itself]
 
 
+def test_a_branch_beyond_its_rating_is_named_with_its_loading(tmp_path: Path):
+    (cause,) = run_with({"overload": "area2"}, tmp_path).find_causes()
+    assert str(cause) == "branch 9-10 is at 112 % of its rating: relieve it"
+    assert (cause.branches, cause.effects) == (("9-10",), ())
+
+
+def test_buses_below_their_limit_are_named_the_lowest_first(tmp_path: Path):
+    (cause,) = run_with({"undervoltage": "area2"}, tmp_path).find_causes()
+    assert cause.what.startswith("bus 18 is at 0.919")
+    assert cause.what.endswith(" p.u., below 0.9223 p.u. (and 3 more)")
+    assert cause.buses[0] == 18
+
+
 @pytest.mark.parametrize("faults", [*CERTAIN, *further(*(pair for pair in PAIRS if pair not in CERTAIN))])
-def test_of_two_faults_both_are_named_and_nothing_else(faults: tuple[str, str]):
+def test_of_two_faults_both_are_named_and_nothing_else(faults: tuple[str, str], tmp_path: Path):
     one, other = faults
-    causes = run_with({one: "area2", other: "area3"}).find_causes()
-    expected = sorted([(one, "area2"), (other, "area3")], key=lambda pair: KINDS.index(FAULTS[pair[0]].kind))
+    causes = run_with({one: "area2", other: "area3"}, tmp_path).find_causes()
+    seen = [pair for pair in ((one, "area2"), (other, "area3")) if not HIDES.get(one, set()) & {pair[0]}]
+    expected = sorted(seen, key=lambda pair: KINDS.index(FAULTS[pair[0]].kind))
     assert [cause.kind for cause in causes] == [FAULTS[fault].kind for fault, _ in expected]
     assert all(str(cause).startswith(words_of(*pair)) for cause, pair in zip(causes, expected, strict=True))
 
 
 @pytest.mark.parametrize("fault", [*FAULTS][:-1])
-def test_a_dead_router_hides_what_else_is_wrong_and_is_named_alone(fault: str):
-    (cause,) = run_with({fault: "area2", "router dead": "area3"}).find_causes()
+def test_a_dead_router_hides_what_else_is_wrong_and_is_named_alone(fault: str, tmp_path: Path):
+    (cause,) = run_with({fault: "area2", "router dead": "area3"}, tmp_path).find_causes()
     assert str(cause).startswith(words_of("router dead", "area3"))
 
 
@@ -69,8 +84,8 @@ def test_an_area_that_was_gone_before_the_router_is_named_beside_it():
     ]
 
 
-def test_a_watcher_without_link_says_so_and_nothing_of_the_areas():
-    feeder = run_with({})
+def test_a_watcher_without_link_says_so_and_nothing_of_the_areas(tmp_path: Path):
+    feeder = run_with({}, tmp_path)
     feeder.watcher.is_linked = False
     assert [cause.kind for cause in feeder.find_causes()] == ["router"]
 
@@ -118,8 +133,8 @@ def test_the_clock_that_several_find_wrong_is_the_wrong_one_and_of_two_alone_eit
     ]
 
 
-def test_the_time_of_a_cause_is_known_only_where_it_was_not_there_before():
-    feeder = run_with({"bad meter": "area2"})
+def test_the_time_of_a_cause_is_known_only_where_it_was_not_there_before(tmp_path: Path):
+    feeder = run_with({"bad meter": "area2"}, tmp_path)
     late = Watcher("sim")
     for area, state in feeder.watcher.states.items():
         late.take_presence(f"dsse/v3/sim/live/area/{area}/1-00000001", True)
