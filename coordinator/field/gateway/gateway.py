@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from agents.messages.packing import StateMessage
 from agents.runtime.duplicate_guard import REPLACED_CODE, ReplacedError
 from agents.runtime.log import start_log
 from agents.runtime.presence import begin_incarnation
@@ -23,7 +24,7 @@ from coordinator.field.gateway.intake import Intake
 from coordinator.field.gateway.maps.map_file import GatewayMap, SinkOf, SourceOf
 from coordinator.field.gateway.publisher import REPEATS_S, LeadingPublisher, Publisher
 from coordinator.field.gateway.reconnection import Link, keep_on
-from coordinator.field.gateway.results import ResultQueue
+from coordinator.field.gateway.results import ResultQueue, SilentAreas
 from dsse_core.errors import DsseError
 from dsse_core.files.drafts import whole_file
 from dsse_core.reading_rules import allowed_lead_s
@@ -76,9 +77,8 @@ class _Gateway:
         publisher = self._make_publisher()
         ended = asyncio.Event()
         self._on_signals(ended, renews)
-        self.queues = [
-            ResultQueue({area.name: area for area in content.scenario.partition.areas}) for _ in content.sinks
-        ]
+        areas = {area.name: area for area in content.scenario.partition.areas}
+        self.queues, self.silent = [ResultQueue(areas) for _ in content.sinks], SilentAreas(content.run, areas)
         self.bus.watch(publisher.publish_soon, self._on_state if content.sinks else None)
         log.info(
             "gateway %s of run %s, %s meters in %s areas",
@@ -91,6 +91,7 @@ class _Gateway:
             _wait(ended),
             self.bus.mind_successors(),
             self._report(),
+            self._mind_silence(),
             _notify_systemd(),
         ]
         if content.source:
@@ -139,9 +140,18 @@ class _Gateway:
 
             on_hangup(renew, end)
 
-    def _on_state(self, state: Any) -> None:
+    def _on_state(self, state: StateMessage) -> None:
+        self.silent.take(state, time.monotonic())
         for queue in self.queues:
             queue.put(state)
+
+    async def _mind_silence(self) -> None:
+        """Put the last state of each area that falls silent into the queues again, as stale."""
+        while True:
+            await asyncio.sleep(STATUS_S)
+            for state in self.silent.find(time.monotonic()):
+                for queue in self.queues:
+                    queue.put(state)
 
     async def _read(self, source: SourceOf) -> None:
         link = Link("source")

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from agents.messages.packing import StateMessage
+from agents.protocol.quality import assess_from_outside
 from coordinator.field.gateway.interface import Result
 from coordinator.watch.observe.area_flows import make_area_flows
+from coordinator.watch.observe.watcher import Watcher
 from coordinator.watch.tables.table_files import rows_as_json
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.partition import Area
@@ -66,6 +68,30 @@ def make_result(areas: Mapping[str, Area], state: StateMessage) -> Result:
         ],
         "branches": [{key: row[key] for key in (*BRANCH_COLUMNS, *OF_NUMBERS)} for row in rows_as_json(branches)],
     }
+
+
+class SilentAreas:
+    """Finds areas of ``run`` that have fallen silent, so that a result says that their numbers are old."""
+
+    def __init__(self, run: str, areas: Iterable[str]) -> None:
+        self._watcher = Watcher(run, frozenset(areas))
+        self._silent: set[str] = set()  # of which a stale state was handed out
+
+    def take(self, state: StateMessage, now: float) -> None:
+        """Takes in a state received at ``now``, s on a monotonic clock."""
+        if self._watcher.take_state(state, now):
+            self._silent.discard(state.header.sender)
+
+    def find(self, now: float) -> Iterator[StateMessage]:
+        """The last state of each area that has fallen silent since the last call, as stale, its ages at ``now``."""
+        for area, state in self._watcher.states.items():
+            if area in self._silent or not self._watcher.is_silent(area, now):
+                continue
+            self._silent.add(area)
+            age_s = self._watcher.age_of(area, now)
+            quality, notes = assess_from_outside(state, f"has sent nothing for {age_s:.1f} s")
+            telemetry_age, oldest = state.telemetry_age + age_s, state.oldest_reading + age_s
+            yield replace(state, quality=quality, notes=notes, telemetry_age=telemetry_age, oldest_reading=oldest)
 
 
 @dataclass

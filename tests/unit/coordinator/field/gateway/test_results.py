@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from agents.messages.packing import StateMessage
-from coordinator.field.gateway.results import ResultQueue, make_result
+from coordinator.field.gateway.results import ResultQueue, SilentAreas, make_result
 from coordinator.field.gateway.sinks.json_lines import JsonLinesSettings, JsonLinesSink
 from dsse_core.grid.partition import Area
 from dsse_core.power_flow.newton_raphson import solve_power_flow
@@ -75,6 +75,22 @@ def test_a_result_without_an_estimate_says_why(
 def test_a_stranger_is_named_as_such(areas: dict[str, Area], state: StateMessage) -> None:
     strange = replace(state, header=replace(state.header, sender="nobody"))
     assert "no such area" in make_result(areas, strange)["problem"]
+
+
+def test_of_an_area_that_falls_silent_one_more_result_says_that_its_numbers_are_old(
+    areas: dict[str, Area], state: StateMessage
+) -> None:
+    silent = SilentAreas("run", areas)
+    silent.take(state, 0.0)
+    assert not [*silent.find(1.0)]
+    (last,) = silent.find(5.0)
+    result = make_result(areas, last)
+    assert (result["quality"], result["notes"][0]) == ("stale", "has sent nothing for 5.0 s")
+    assert {(row["fresh"], row["value_age_s"]) for row in result["buses"]} == {(False, 5.1)}
+    assert not [*silent.find(9.0)]
+    silent.take(replace(state, header=replace(state.header, sequence=2)), 10.0)
+    assert not [*silent.find(11.0)]
+    assert [each.quality for each in silent.find(60.0)] == ["stale"]
 
 
 def test_a_slow_sink_gets_the_newest_of_each_area(areas: dict[str, Area], state: StateMessage) -> None:
