@@ -2,8 +2,8 @@
 
 ``run``, ``simulate``, ``compare`` and ``sweep`` do what the commands of ``dsse`` do; ``estimate`` and ``power_flow``
 give the state that a control centre finds and the true one, ``estimate_batch`` estimates many scans at once. Results
-have the tables ``buses``, ``branches``, ``meters`` and ``areas``: columns by name, ``to_pandas()``. Everything is
-imported when it is first used.
+have the tables ``buses``, ``branches``, ``meters`` and ``areas``: columns by name, ``to_pandas()``, ``to_csv()``; and
+``plot()``. Everything is imported when it is first used.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from consensus_dsse.reproduction import thesis
     from consensus_dsse.studies import compare, sweep
     from coordinator import run, simulate
-    from coordinator.lab.evaluation.result import RunResult
+    from coordinator.show.plotted_run import RunResult
     from dsse_core.errors import DsseError, InvalidInputError
     from dsse_core.estimation.batch import estimate_batch
     from dsse_core.estimation.plan import build_estimation_plan
@@ -46,7 +46,7 @@ _MODULES = {
     "Estimate": "consensus_dsse.centralised",
     "InvalidInputError": "dsse_core.errors",
     "PowerFlow": "consensus_dsse.centralised",
-    "RunResult": "coordinator.lab.evaluation.result",
+    "RunResult": "coordinator.show.plotted_run",
     "Table": "dsse_core.results.table",
     "build_estimation_plan": "dsse_core.estimation.plan",
     "compare": "consensus_dsse.studies",

@@ -13,10 +13,10 @@ import time
 
 TYPE_CHECKING = False  # as that of ``typing``, which would take longer to import than all else here
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from coordinator.lab.evaluation.result import RunResult
+    from coordinator.show.plotted_run import RunResult
     from coordinator.watch.observe.progress import Progress
     from scenarios.faults.faults import LinkChanges
     from scenarios.scenario import Scenario
@@ -31,6 +31,7 @@ def run(
     seed: int | None = None,
     strategy: str | None = None,
     timeout_s: float | None = None,
+    changes: Mapping[str, object] | None = None,
     on_update: Callable[[Progress], None] | None = None,
     plots: bool = True,
     formats: Sequence[str] = ("png",),
@@ -44,6 +45,7 @@ def run(
         out: the run folder, new or empty; by default ``runs/<scenario>-<time>``.
         seed, strategy: replace the scenario's.
         timeout_s: replaces the scenario's time limit, s.
+        changes: key path -> value in its place, as of ``--set``; for a scenario that is not loaded yet.
         on_update: called about ten times a second with what the areas are doing.
         plots: draw the figures and write ``report.html``, too.
         formats: of the figures: ``png``, ``pdf``, ``svg``.
@@ -51,7 +53,8 @@ def run(
         keys: folder with keys of ``dsse keys create`` to use instead; implies ``secure``.
 
     Returns:
-        The verdict, and the tables ``buses``, ``branches``, ``meters`` and ``areas``, whose columns name their units.
+        The verdict, the tables ``buses``, ``branches``, ``meters`` and ``areas``, whose columns name their units, and
+        figures by ``plot()``.
 
     >>> import consensus_dsse as dsse
     >>> result = dsse.run("ieee33", out="my-run", plots=False)
@@ -69,8 +72,10 @@ def run(
         launcher.preload("coordinator.lab.process_run.router_process", "agents.__main__", "coordinator.lab.plant.plant")
         if secure or keys is not None:
             launcher.preload("agents.security.access_file", "agents.security.certificate_checks")
+        from coordinator.lab.evaluation.evaluation import choose_scenario
         from coordinator.lab.process_run.run_scenario import run_scenario
 
+        scenario = choose_scenario(scenario, changes=changes) if changes else scenario
         result = run_scenario(launcher, scenario, started, out, seed, strategy, timeout_s, on_update, secure, keys)
     if plots:
         from coordinator.show.report.run_files import write_report
@@ -78,7 +83,9 @@ def run(
 
         secured = ["--keys", str(keys)] if keys is not None else ["--secure"] if secure else []
         result = write_report(result, formats, [*guess_arguments(result.scenario, "run"), *secured])
-    return result
+    from coordinator.show.plotted_run import RunResult
+
+    return RunResult.of(result)
 
 
 def simulate(
@@ -88,6 +95,7 @@ def simulate(
     seed: int | None = None,
     strategy: str | None = None,
     timeout_s: float | None = None,
+    changes: Mapping[str, object] | None = None,
     links: LinkChanges | None = None,
     on_update: Callable[[Progress], None] | None = None,
     plots: bool = True,
@@ -101,20 +109,23 @@ def simulate(
         links: ``loss``, ``delay_s``, ``jitter_s`` or ``duplicate`` of every link, in place of the scenario's.
 
     >>> import consensus_dsse as dsse
-    >>> lossy = dsse.load_scenario("ieee33", changes={"faults.loss": 0.3})
-    >>> result = dsse.simulate(lossy, out="my-simulation", plots=False)
+    >>> result = dsse.simulate("ieee33", changes={"faults.loss": 0.3}, out="my-simulation", plots=False)
     >>> result.verdict.consensus, result.areas.area
     (True, ('area1', 'area2', 'area3'))
 
     Raises:
         InvalidInputError: the scenario, the folder or a link fault cannot be used.
     """
+    from coordinator.lab.evaluation.evaluation import choose_scenario
     from coordinator.lab.simulator.simulate import simulate_scenario
 
+    scenario = choose_scenario(scenario, changes=changes) if changes else scenario
     result = simulate_scenario(scenario, out, seed, strategy, timeout_s, on_update, links or {})
     if plots:
         from coordinator.show.report.run_files import write_report
         from coordinator.show.report.settings import guess_arguments
 
         result = write_report(result, formats, guess_arguments(result.scenario, "simulate", links))
-    return result
+    from coordinator.show.plotted_run import RunResult
+
+    return RunResult.of(result)

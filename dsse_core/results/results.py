@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -64,6 +65,13 @@ class WithTables(ABC):
     @abstractmethod
     def tables(self) -> Results:
         """All four tables."""
+
+    def _repr_html_(self) -> str:
+        """The HTML for notebooks: the line of ``repr`` and a table."""
+        return f"<p>{html.escape(repr(self))}</p>{self._shown()._repr_html_()}"
+
+    def _shown(self) -> Table:
+        return self.areas
 
     @property
     def buses(self) -> Table:

@@ -16,7 +16,7 @@ from dsse_core.results.results import TABLES, Results, WithTables
 from dsse_core.results.table import Table, as_times
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ScanTables(WithTables):
     """The tables. ``scans``: the end of each estimate. ``make_results``: function that makes the tables of each scan,
     in order; at the first use of one of them.
@@ -25,6 +25,13 @@ class ScanTables(WithTables):
     names: ClassVar = ("scans", *TABLES)
     scans: Table
     make_results: Callable[[], Sequence[Results]]
+
+    def __repr__(self) -> str:
+        failed = self.scans.status.count("failed")
+        return f"<Estimates of {len(self.scans)} scans, {failed} failed>"
+
+    def _shown(self) -> Table:
+        return self.scans
 
     @cached_property
     def tables(self) -> Results:

@@ -15,6 +15,7 @@ from dsse_core.estimation.bad_data import BadDataReport, process_bad_data_with_p
 from dsse_core.estimation.batch import BatchResult, RowFailure, describe_failure, estimate_batch
 from dsse_core.estimation.plan import EstimationPlan, build_estimation_plan
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, find_dead
+from dsse_core.files.bounded_file import read_text
 from dsse_core.grid.columns import Records, read_column, take_items
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.meter_table import find_virtual, join_meters
@@ -24,7 +25,7 @@ from dsse_core.results.results import MeterReadings, Results, results_of_estimat
 from dsse_core.results.scans import ScanTables, make_scan_table
 from dsse_core.results.table import ScanLabel
 from scenarios.check import plan_whole_grid
-from scenarios.files.readings.file import Scans, load_scans
+from scenarios.files.readings.file import Scans, read_scans
 from scenarios.scenario import Scenario, TelemetrySettings, find_virtual_problems
 from scenarios.telemetry import read_meters
 
@@ -114,17 +115,22 @@ class ScanRows:
 
 
 def load_scans_of(scenario: Scenario, path: Path) -> Scans:
-    """The readings in ``path`` of one or many scans, in place of those of ``scenario``.
+    """The readings in ``path`` of one or many scans, in place of those of ``scenario``. Raises as ``read_scans_of``."""
+    return read_scans_of(scenario, read_text(path), str(path))
+
+
+def read_scans_of(scenario: Scenario, text: str, source: str) -> Scans:
+    """The readings in ``text``, that of a readings file, in place of those of ``scenario``; ``source``: its name.
 
     Raises:
-        InvalidInputError: every problem of the file; or the scenario has readings by area, not of one grid.
+        InvalidInputError: every problem of the text; or the scenario has readings by area, not of one grid.
     """
     if scenario.telemetry.source == "area-power-flow":
         problem = "a scenario with telemetry.source 'area-power-flow' has no readings of one grid; choose another one"
         raise InvalidInputError("--readings", [problem])
-    scans = load_scans(path, scenario.network)
+    scans = read_scans(text, source, scenario.network)
     virtual = set(read_column(_virtual_of(scenario), "bus", np.int64).tolist())
-    if problems := list(find_virtual_problems(str(path), scans.meters, virtual)):
+    if problems := list(find_virtual_problems(source, scans.meters, virtual)):
         raise InvalidInputError("--readings", problems)
     return scans
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.collections import LineCollection
@@ -20,20 +22,42 @@ from coordinator.show.figures.style import (
     Drawing,
     new_figure,
 )
+from dsse_core.estimation.state_limits import OperatingLimits
+from dsse_core.grid.network import Network
 from dsse_core.results.units import wrap_degrees
 
 
-def draw_magnitudes(outcome: RunOutcome) -> Drawing:
+@dataclass(frozen=True)
+class Profile:
+    """Voltages of all buses of ``network`` from several sources. ``shown``: name -> voltages and style of their marks,
+    the last ones of the result itself. ``limits``: of magnitudes.
+    """
+
+    network: Network
+    shown: Mapping[str, tuple[Voltages, dict[str, Any]]]
+    limits: OperatingLimits
+
+
+def find_profile(outcome: RunOutcome) -> Profile:
+    """The profile of a run: the truth where it is known, the centralised and the decentralised estimate."""
+    comparison = outcome.comparison
+    shown = {
+        **({"true (power flow)": (comparison.truth, TRUE)} if comparison.knows_truth else {}),
+        "centralised estimate": (comparison.centralised, CENTRALISED),
+        "decentralised estimate": (comparison.decentralised, DECENTRALISED),
+    }
+    return Profile(outcome.scenario.network, shown, outcome.scenario.operating_limits)
+
+
+def draw_magnitudes(profile: Profile) -> Drawing:
     """Figure of the voltage profile with its limits."""
-    limits = outcome.scenario.operating_limits
-    low, high = limits.lowest_vm, limits.highest_vm
-    vm = outcome.comparison.decentralised.vm
-    drawing = _draw(
-        outcome, "magnitudes", "Voltage profile", "voltage magnitude (p.u.)", lambda voltages: voltages.vm, (low, high)
-    )
+    low, high = profile.limits.lowest_vm, profile.limits.highest_vm
+    *_, (voltages, _) = profile.shown.values()
+    vm = voltages.vm
+    drawing = _draw(profile, "magnitudes", "Voltage profile", "voltage magnitude (p.u.)", lambda v: v.vm, (low, high))
     if np.isnan(vm).all():
         return drawing
-    ids = outcome.scenario.network.table.bus_id
+    ids = profile.network.table.bus_id
     lowest, highest = int(np.nanargmin(vm)), int(np.nanargmax(vm))
     beyond = int((vm < low).sum() + (vm > high).sum())
     facts = (
@@ -43,33 +67,30 @@ def draw_magnitudes(outcome: RunOutcome) -> Drawing:
     return Drawing(drawing.name, drawing.title, f"{drawing.caption} {facts}", drawing.figure)
 
 
-def draw_angles(outcome: RunOutcome) -> Drawing:
+def draw_angles(profile: Profile) -> Drawing:
     """Figure of the voltage angles, which have no limits."""
-    return _draw(outcome, "angles", "Voltage angles", "voltage angle (degrees)", lambda v: wrap_degrees(v.va), ())
+    return _draw(profile, "angles", "Voltage angles", "voltage angle (degrees)", lambda v: wrap_degrees(v.va), ())
 
 
 def _draw(
-    outcome: RunOutcome,
+    profile: Profile,
     name: str,
     title: str,
     label: str,
     of: Callable[[Voltages], np.ndarray],
     limits: tuple[float, ...],
 ) -> Drawing:
-    comparison, network = outcome.comparison, outcome.scenario.network
+    network = profile.network
+    *_, (voltages, _) = profile.shown.values()
     distance, x_label = find_distances(network)
     figure, (axis,) = new_figure(4.2)
-    ours = of(comparison.decentralised)
+    ours = of(voltages)
     ends = np.stack([np.stack([distance[end], ours[end]], axis=-1) for end in (network.table.f, network.table.t)], 1)
     shown = ends[np.isfinite(ends).all(axis=(1, 2))]
     many = len(distance) > 200
     large = len(distance) > MAX_VECTOR
     axis.add_collection(LineCollection(list(shown), colors=GREY, linewidths=0.7, label="branch", rasterized=large))
-    for which, voltages, style in (
-        *([("true (power flow)", comparison.truth, TRUE)] if comparison.knows_truth else []),
-        ("centralised estimate", comparison.centralised, CENTRALISED),
-        ("decentralised estimate", comparison.decentralised, DECENTRALISED),
-    ):
+    for which, (voltages, style) in profile.shown.items():
         size = style | ({"markersize": style["markersize"] / 2} if many else {})
         axis.plot(distance, of(voltages), linestyle="none", label=which, rasterized=large, **size)
     for number, limit in enumerate(limits):

@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import Any, cast
 
 import matplotlib as mpl
-
-mpl.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+from dsse_core.errors import InvalidInputError
 from dsse_core.files.drafts import whole_file
+from dsse_core.files.wording import describe_unknown
 
 INK, PAPER = "#000001", "#fffffe"  # in SVG distinct from each colour of the data
 BLUE, VERMILLION, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#cc79a7"
@@ -66,6 +66,26 @@ class Drawing:
     title: str
     caption: str
     figure: Figure
+
+    def save(self, path: str | Path) -> None:
+        """Writes the figure in the format that the ending of ``path`` names: .png, .pdf, .svg or others of matplotlib.
+
+        Raises:
+            InvalidInputError: the ending names no format.
+        """
+        known = self.figure.canvas.get_supported_filetypes()
+        if (suffix := Path(path).suffix.removeprefix(".").lower()) not in known:
+            raise InvalidInputError(str(path), [describe_unknown("ending", suffix, tuple(known))])
+        with styled():
+            save(self.figure, Path(path).with_suffix(""), [suffix])
+
+    def _repr_png_(self) -> bytes:
+        """The picture for notebooks."""
+        picture = io.BytesIO()
+        with styled():
+            fix_layout(self.figure)
+            self.figure.savefig(picture, format="png", dpi=DPI)
+        return picture.getvalue()
 
 
 def styled() -> Any:

@@ -76,7 +76,7 @@ def load_readings(path: Path, network: Network) -> Records[Measurement]:
         InvalidInputError: the file cannot be read, or every problem of its header, or else of its rows, with line
             numbers: unknown meters, meters given twice, wrong units, values that are no numbers.
     """
-    return _load(path, network, takes_scans=False).readings
+    return _read(read_text(path), str(path), network, takes_scans=False).readings
 
 
 def load_scans(path: Path, network: Network) -> Scans:
@@ -85,19 +85,24 @@ def load_scans(path: Path, network: Network) -> Scans:
     Raises:
         InvalidInputError: as ``load_readings``; or there are more places for readings than MOST_PLACES.
     """
-    read = _load(path, network, takes_scans=True)
+    return read_scans(read_text(path), str(path), network)
+
+
+def read_scans(text: str, source: str, network: Network) -> Scans:
+    """The scans in ``text``, as ``load_scans`` reads them from a file; ``source``: name of the text in errors."""
+    read = _read(text, source, network, takes_scans=True)
     scan_row = {scan: k for k, scan in enumerate(dict.fromkeys(read.scans))}
     if (places := len(scan_row) * len(read.meters)) > MOST_PLACES:
         problem = f"{len(scan_row):,} scans of {len(read.meters):,} meters are {places:,} places for readings"
-        raise InvalidInputError(str(path), [f"{problem}, the limit is {MOST_PLACES:,}; divide it into several files"])
+        raise InvalidInputError(source, [f"{problem}, the limit is {MOST_PLACES:,}; divide it into several files"])
     at = np.array([scan_row[scan] for scan in read.scans]), read.column
     values, sigmas = np.full((2, len(scan_row), len(read.meters)), np.nan)
     values[at], sigmas[at] = read.values, read.sigmas
     return Scans(tuple(scan_row), read.meters, values, sigmas)
 
 
-def _load(path: Path, network: Network, *, takes_scans: bool) -> SoundReadings:
-    text = as_readings_text(read_text(path))
+def _read(text: str, source: str, network: Network, *, takes_scans: bool) -> SoundReadings:
+    text = as_readings_text(text)
     if (sound := read_sound_columns(text, network, takes_scans=takes_scans)) is not None:
         return sound
     rows = csv.reader(io.StringIO(text, newline=""), strict=True)
@@ -113,7 +118,7 @@ def _load(path: Path, network: Network, *, takes_scans: bool) -> SoundReadings:
     if not table.problems and not table.readings:
         table.problems.append("there is no reading; give one row for each meter")
     if table.problems:
-        raise InvalidInputError(str(path), table.problems)
+        raise InvalidInputError(source, table.problems)
     return SoundReadings.of(table.readings, table.scans)
 
 

@@ -21,7 +21,7 @@ from coordinator.show.figures.errors_figure import draw_errors
 from coordinator.show.figures.feeder_profile import find_distances
 from coordinator.show.figures.gap_figure import draw_gap, draw_gaps_of, find_course
 from coordinator.show.figures.network_figure import draw_network
-from coordinator.show.figures.profile_figures import draw_angles, draw_magnitudes
+from coordinator.show.figures.profile_figures import draw_angles, draw_magnitudes, find_profile
 from coordinator.show.figures.residuals_figure import draw_residuals
 from coordinator.show.figures.run_figures import draw_run
 from coordinator.show.figures.style import COLOURS, INK, PAPER, Drawing
@@ -139,7 +139,7 @@ def test_the_profile_has_every_bus_at_its_distance_and_the_limits(
     result: RunResult, stated: OperatingLimits, drawn: list[float]
 ) -> None:
     limited = replace(result, scenario=replace(result.scenario, operating_limits=stated))
-    drawing = draw_magnitudes(limited)
+    drawing = draw_magnitudes(find_profile(limited))
     (axis,) = axes_of(drawing)
     ours = line(axis, "decentralised estimate")
     assert np.asarray(ours.get_xdata()) == pytest.approx(find_distances(result.scenario.network)[0])
@@ -153,7 +153,7 @@ def test_the_profile_has_every_bus_at_its_distance_and_the_limits(
 
 
 def test_angles_are_drawn_in_degrees_and_without_limits(result: RunResult) -> None:
-    (axis,) = axes_of(draw_angles(result))
+    (axis,) = axes_of(draw_angles(find_profile(result)))
     drawn = line(axis, "decentralised estimate")
     assert np.asarray(drawn.get_ydata()) == pytest.approx(np.degrees(result.comparison.decentralised.va))
     assert "limits" not in {each.get_label() for each in axis.lines}
