@@ -11,6 +11,7 @@ from typing import Any
 from agents.messages.packing import add_message_type
 from agents.strategies.interface import AnyStrategy
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.installation import install_command
 from dsse_core.files.wording import describe_unknown
 
 GROUP = "dsse.strategies"
@@ -24,7 +25,7 @@ def list_strategies() -> tuple[str, ...]:
     """
     names = tuple(sorted({entry.name for entry in _find_entries(tuple(sys.path))}))
     if not names:
-        cure = "install consensus-dsse again, in a checkout with `pip install --editable .`"
+        cure = f"install consensus-dsse again: {install_command()}"
         raise InvalidInputError("strategies", [f"no installed distribution has an entry point {GROUP!r}; {cure}"])
     return names
 

@@ -21,6 +21,7 @@ from coordinator.cli.terminal import (
     connect_option,
     json_option,
     keys_option,
+    name_program,
     optional_scenario_argument,
     run_id_option,
     scenario_argument,
@@ -288,7 +289,7 @@ def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id
     lines = [
         f"{out}: a folder for each of {', '.join(access.names)}, valid for {days:g} days",
         f"copy each to the host of its process, into the folder of its --keys; {out / AUTHORITY} stays away from all",
-        f"next: {shlex.join(['dsse', 'run', scenario, '--keys', str(out)])}",
+        f"next: {shlex.join([name_program(), 'run', scenario, '--keys', str(out)])}",
     ]
     answer(as_json, {"run": access.run, "folder": out, "processes": access.names}, "\n".join(map(printable, lines)))
     if remark := find_gateway_remark(loaded.reading_rules):

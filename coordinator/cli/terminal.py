@@ -7,6 +7,7 @@ import json
 import math
 import os
 import shlex
+import shutil
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -198,7 +199,15 @@ def notify(text: str) -> None:
 
 def next_run(scenario: Path) -> str:
     """A hint with the command that runs the new file ``scenario``, quoted for a shell."""
-    return f"next: {shlex.join(['dsse', 'run', str(scenario)])}"
+    return f"next: {shlex.join([name_program(), 'run', str(scenario)])}"
+
+
+def name_program() -> str:
+    """The name by which a shell finds this command: ``dsse``, or the path as typed where PATH has not this one."""
+    typed = sys.argv[0]
+    found = shutil.which("dsse")
+    is_found = found is not None and Path(typed).exists() and os.path.samefile(found, typed)
+    return "dsse" if is_found or Path(typed).name != "dsse" else typed
 
 
 def finish_run(result: RunResult, formats: Sequence[str] | None, parquet: bool, as_json: bool) -> int:
@@ -211,7 +220,8 @@ def finish_run(result: RunResult, formats: Sequence[str] | None, parquet: bool, 
     code = 2 if result.unwritten else 0 if result.verdict.consensus else 1
     content, verdict = describe(result) if as_json else {}, format_verdict(result)
     decide(code)
-    answer(as_json, content | {"folder": result.folder}, verdict)
+    report = None if formats is None or result.unwritten else result.folder / "report.html"
+    answer(as_json, content | {"folder": result.folder, "report": report}, verdict)
     if result.unwritten:
         return _report_unwritten(result)
     if parquet:
@@ -223,6 +233,8 @@ def finish_run(result: RunResult, formats: Sequence[str] | None, parquet: bool, 
 
         if (written := write_report(result, formats, given_arguments())).unwritten:
             return _report_unwritten(written)
+    if report is not None and not as_json:
+        show(f"open {report.resolve().as_uri()}")
     return code
 
 

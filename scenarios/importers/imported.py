@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import Any, Literal
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.installation import install_command
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Branch, Bus, Control, Network
@@ -54,7 +55,7 @@ def load_extra(module: str, extra: str, what: str) -> ModuleType:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        problem = f"reading it needs the package {extra} ({error}); install it: pip install 'consensus-dsse[{extra}]'"
+        problem = f"reading it needs the package {extra} ({error}); install it: {install_command(extra)}"
         raise InvalidInputError(what, [problem]) from None
 
 

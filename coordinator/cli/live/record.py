@@ -55,6 +55,7 @@ def record(address: RunAddress, out: Path | None, limit_gb: float | None, scenar
     from coordinator.watch.recording.bus_recorder import record_from
     from coordinator.watch.recording.order import Order
     from coordinator.watch.recording.parquet import has_parquet
+    from dsse_core.files.installation import install_command
 
     start_log()
     prepared = None if scenario is None else choose_scenario(scenario)
@@ -65,7 +66,7 @@ def record(address: RunAddress, out: Path | None, limit_gb: float | None, scenar
         def on_begun() -> None:
             notify(f"recording run {run} into {folder}; Ctrl-C ends it")
             if not has_parquet():
-                notify("note: pyarrow is not installed, so the logs stay logs; pip install 'consensus-dsse[parquet]'")
+                notify(f"note: pyarrow is not installed, so the logs stay logs; {install_command('parquet')}")
 
         record_from(session, Order(folder, run, files, limit_gb), on_begun)
     return 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -98,7 +97,9 @@ def _check_packages() -> None:
         import starlette  # noqa: F401
         import uvicorn  # noqa: F401
     except ImportError as error:
-        problem = f"{error.name} is not installed; `{Path(sys.executable).name} -m pip install 'consensus-dsse[web]'`"
+        from dsse_core.files.installation import install_command
+
+        problem = f"{error.name} is not installed; {install_command('web')}"
         raise InvalidInputError("dsse serve", [problem]) from None
 
 

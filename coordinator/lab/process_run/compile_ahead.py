@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from dsse_core import compiling
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.installation import install_command
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,7 @@ def compile_ahead() -> CompiledAhead:
         OSError: the code could not be written to its folder.
     """
     if importlib.util.find_spec("numba") is None:
-        problem = "numba is not installed, and nothing is compiled without it; pip install 'consensus-dsse[fast]'"
+        problem = f"numba is not installed, and nothing is compiled without it; {install_command('fast')}"
         raise InvalidInputError("dsse compile", [problem])
     from dsse_core.code_cache import not_kept
     from dsse_core.code_places import find_folder_to_keep_in, find_places

@@ -8,6 +8,7 @@ from concurrent.futures import BrokenExecutor, CancelledError, Executor, as_comp
 from typing import TypeVar
 
 from dsse_core.errors import DsseError, InvalidInputError
+from dsse_core.files.installation import install_command
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -59,7 +60,7 @@ def open_executor(address: str) -> Iterator[Executor]:
     try:
         from distributed import Client
     except ImportError:
-        problem = "dask is not installed; pip install 'consensus-dsse[dask]'"
+        problem = f"dask is not installed; {install_command('dask')}"
         raise InvalidInputError("--executor", [problem]) from None
     try:
         client = Client(f"tcp://{address.removeprefix(DASK)}", timeout=CONNECT_S, set_as_default=False)

@@ -16,6 +16,7 @@ from agents.runtime.watchdog import Watchdog
 from agents.transport.zenoh_bus import TransportError
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.installation import install_command
 
 if TYPE_CHECKING:
     from coordinator.watch.metrics.metrics_page import MetricsPage
@@ -49,7 +50,7 @@ def check_prometheus() -> None:
         InvalidInputError: prometheus-client is not installed.
     """
     if importlib.util.find_spec("prometheus_client") is None:
-        cure = "needs prometheus-client; install it with `pip install 'consensus-dsse[metrics]'`"
+        cure = f"needs prometheus-client; install it: {install_command('metrics')}"
         raise InvalidInputError("dsse metrics", [cure])
 
 

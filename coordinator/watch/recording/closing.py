@@ -33,11 +33,12 @@ from coordinator.watch.recording.recorded_tables import Row, RowMaker
 from dsse_core import operating_system
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.files.drafts import draft_folder, remove_leftovers
+from dsse_core.files.installation import install_command
 
 log = logging.getLogger(__name__)
 NICE = 10
 ROOT = Path(__file__).resolve().parents[3]  # where this package was imported from
-NO_PARQUET = "pyarrow is not installed, so logs are not closed into Parquet; pip install 'consensus-dsse[parquet]'"
+NO_PARQUET = "pyarrow is not installed, so logs are not closed into Parquet"
 
 
 def close_ended(folder: Path) -> list[str]:
@@ -51,7 +52,7 @@ def close_ended(folder: Path) -> list[str]:
         if not ended:
             return []
         if not has_parquet():
-            return [NO_PARQUET]
+            return [f"{NO_PARQUET}; {install_command('parquet')}"]
         remove_leftovers(folder)
         notes = []
         for path in ended:

@@ -14,6 +14,7 @@ from coordinator.watch.recording.recorded_tables import COLUMNS, INTEGER, NUMBER
 from coordinator.watch.recording.row_checks import RowCheck
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import open_regular
+from dsse_core.files.installation import install_command
 
 ROWS_AT_ONCE = 50_000  # of each table that are held in memory
 TEXT_AT_ONCE = 2**24  # characters of these rows, in tables with long texts
@@ -231,6 +232,6 @@ def _load_pyarrow(what: str) -> tuple[Any, Any]:
         import pyarrow
         import pyarrow.parquet
     except ImportError:
-        problem = "pyarrow, which reads and writes Parquet, is not installed; pip install 'consensus-dsse[parquet]'"
+        problem = f"pyarrow, which reads and writes Parquet, is not installed; {install_command('parquet')}"
         raise InvalidInputError(what, [problem]) from None
     return pyarrow, pyarrow.parquet

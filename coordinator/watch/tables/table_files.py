@@ -12,6 +12,7 @@ import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.drafts import whole_file
+from dsse_core.files.installation import install_command
 from dsse_core.results.results import Results
 from dsse_core.results.scans import ScanTables
 from dsse_core.results.table import Table, write_times
@@ -88,6 +89,6 @@ def _load_pyarrow() -> tuple[Any, Any]:
         import pyarrow
         import pyarrow.parquet
     except ImportError:
-        problem = "pyarrow, which writes it, is not installed; pip install 'consensus-dsse[parquet]'"
+        problem = f"pyarrow, which writes it, is not installed; {install_command('parquet')}"
         raise InvalidInputError("--parquet", [problem]) from None
     return pyarrow, pyarrow.parquet

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from coordinator.field.gateway.interface import Sink, Source
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.installation import install_command
 from dsse_core.files.strict_table import Table
 from dsse_core.files.table_errors import describe_errors
 from dsse_core.files.wording import describe_unknown
@@ -59,7 +60,7 @@ def _import(base: type[Part], entry: EntryPoint, place: str) -> type[Part]:
         cls = entry.load()
     except ModuleNotFoundError as error:
         is_ours = entry.dist is not None and entry.dist.name == OURS
-        cure = f"pip install '{OURS}[{entry.name}]'" if is_ours else "install it, or correct that distribution"
+        cure = install_command(entry.name) if is_ours else "install it, or correct that distribution"
         raise InvalidInputError(
             place, [f"{what} needs module {error.name!r}, which is not installed; {cure}"]
         ) from None

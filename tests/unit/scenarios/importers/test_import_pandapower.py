@@ -249,7 +249,7 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(
     path = tmp_path / "net.json"
     pp.to_json(small_grid(), str(path))
     monkeypatch.setitem(sys.modules, "pandapower", None)
-    with pytest.raises(InvalidInputError, match=r"pip install 'consensus-dsse\[pandapower\]'"):
+    with pytest.raises(InvalidInputError, match=r"pip install .*\[pandapower\]'"):
         import_grid(path)
 
 

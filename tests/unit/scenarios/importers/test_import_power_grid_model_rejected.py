@@ -61,7 +61,7 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(
     path = tmp_path / "grid.json"
     utils.json_serialize_to_file(path, small_grid())
     monkeypatch.setitem(sys.modules, "power_grid_model.utils", None)
-    with pytest.raises(InvalidInputError, match=r"pip install 'consensus-dsse\[power-grid-model\]'"):
+    with pytest.raises(InvalidInputError, match=r"pip install .*\[power-grid-model\]'"):
         import_grid(path)
 
 
