@@ -25,7 +25,9 @@ from agents.messages.packing import (
     decode_recorded,
 )
 from agents.protocol.configuration import Configuration
+from agents.protocol.quality import GOOD
 from coordinator.watch.observe.area_flows import make_area_flows
+from coordinator.watch.observe.freshness import freshness_of_state
 from coordinator.watch.recording.entries import APPEARED, LEFT, MESSAGE, NOTE, VANISHED, Entry
 from coordinator.watch.recording.recorder import check_sender
 from coordinator.watch.recording.row_checks import LATEST
@@ -36,6 +38,7 @@ TIME, INTEGER, NUMBER, TRUTH, TEXT, TEXTS = "time", "integer", "number", "truth"
 FLOWS = ("p_from_kw", "q_from_kvar", "i_from_a", "p_to_kw", "q_to_kvar", "i_to_a", "loss_kw", "loss_kvar")
 _WHOSE = {"time": TIME, "scan": INTEGER, "area": TEXT, "incarnation": TEXT}
 _ESTIMATE = _WHOSE | {"estimate": INTEGER, "final": TRUTH}
+_NUMBERS = {"quality": TEXT, "value_age_s": NUMBER}
 COLUMNS: Mapping[str, Mapping[str, str]] = {
     "states": _ESTIMATE
     | {
@@ -77,10 +80,13 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
         "vm_kv": NUMBER,
         "p_kw": NUMBER,
         "q_kvar": NUMBER,
-    },
+        "injection_problem": TEXT,
+    }
+    | _NUMBERS,
     "branches": _ESTIMATE
     | {"branch": TEXT, "from_bus": INTEGER, "to_bus": INTEGER}
-    | dict.fromkeys((*FLOWS, "loading_percent"), NUMBER),
+    | dict.fromkeys((*FLOWS, "loading_percent"), NUMBER)
+    | _NUMBERS,
     "readings": _WHOSE
     | {
         "sequence": INTEGER,
@@ -98,6 +104,8 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
 ADDED: Mapping[str, tuple[str, ...]] = {
     "readings": ("estimate", "normalised_residual"),
     "states": ("split", "split_at", "split_edited"),
+    "buses": ("injection_problem", *_NUMBERS),
+    "branches": tuple(_NUMBERS),
 }
 """Table -> columns that files of earlier recorders lack."""
 
@@ -107,10 +115,14 @@ Row = tuple[str, tuple[Any, ...]]
 
 @dataclass
 class _Shown:
-    """The last state of an area, held back until the next one tells whether it was the last state of its scan."""
+    """The last state of an area, held back until the next one tells whether it was the last state of its scan.
+
+    ``best``: the last good state with the same estimate, else the last one; its freshness is that of the numbers.
+    """
 
     row: dict[str, Any]
     state: StateMessage
+    best: StateMessage
     estimate: dict[str, list[dict[str, Any]]] = field(default_factory=dict)  # rows that are not handed out yet
 
 
@@ -175,19 +187,23 @@ class RowMaker:
     def _rows_of_state(self, at: float, state: StateMessage) -> Iterator[Row]:
         area = state.header.sender
         last = self._shown.get(area)
-        self._shown[area] = shown = _Shown(_state_row(at, state), state)
+        self._shown[area] = shown = _Shown(_state_row(at, state), state, state)
         if last is not None and _has_same_estimate(last.state, state):
             shown.row["estimate"] = last.row["estimate"]
             shown.estimate, last.estimate = last.estimate, {}
+            if last.best.quality == GOOD != state.quality:
+                shown.best = last.best
         else:
             shown.estimate = self._describe_estimate(at, state)
         if last is not None:
             yield from self._hand_out(last, is_final=_place_of(last.state) != _place_of(state))
 
     def _hand_out(self, shown: _Shown, *, is_final: bool) -> Iterator[Row]:
+        freshness = freshness_of_state(shown.best)
+        of_numbers = {"quality": freshness.quality, "value_age_s": freshness.value_age_s}
         for table, rows in {"states": [shown.row], **shown.estimate}.items():
             for row in rows:
-                row["final"] = is_final
+                row |= {"final": is_final} | (of_numbers if table != "states" else {})
                 yield table, tuple(row.get(name) for name in COLUMNS[table])
         if is_final:  # in an earlier state, neighbours may not have finished the scan
             yield from self._find_events(shown.row["time"], shown.state)
@@ -219,8 +235,10 @@ class RowMaker:
             return {"buses": buses, "branches": []}
         place = {int(bus): k for k, bus in enumerate(of_buses["bus"])}
         for row in buses:
-            row |= {key: float(of_buses[key][place[row["bus"]]]) for key in ("vm_kv", "p_kw", "q_kvar")}
-        keys = tuple(COLUMNS["branches"])[len(_ESTIMATE) :]
+            at_bus = place[row["bus"]]
+            row |= {key: float(of_buses[key][at_bus]) for key in ("vm_kv", "p_kw", "q_kvar")}
+            row["injection_problem"] = of_buses.injection_problem[at_bus] or None
+        keys = "branch", "from_bus", "to_bus", *FLOWS, "loading_percent"
         values = zip(*(list(of_branches[key]) for key in keys), strict=True)
         return {"buses": buses, "branches": [whose | dict(zip(keys, row, strict=True)) for row in values]}
 
