@@ -20,6 +20,7 @@ from coordinator.lab.studies.study_row import (
     make_row,
     to_cells,
 )
+from coordinator.lab.studies.sweep_plan import hash_scenario
 from coordinator.watch.run_folder import make_run_folder
 from coordinator.watch.tables.text_table import format_table
 from dsse_core.errors import InvalidInputError
@@ -82,7 +83,9 @@ def compare_strategies(
     remove_leftovers(temporary, UNKEPT, has_processes)
     with draft_folder(temporary, UNKEPT) as unkept:
         folder = unkept if out is None else make_run_folder(out, scenario.name)
-        rows = tuple(_run_one(replace(scenario, strategy=name), run, folder / name) for name in strategies)
+        content = hash_scenario(scenario)
+        found = (_run_one(replace(scenario, strategy=name), run, folder / name) for name in strategies)
+        rows = tuple(replace(row, scenario_sha256=content) for row in found)
         check_one_is_possible(scenario, rows)
         if out is not None:
             _write(folder, scenario, rows)

@@ -45,6 +45,7 @@ def test_a_row_has_the_figures_of_its_run(compared: Path, strategy: str):
     row = read_rows(compared / "comparison.csv")[strategy]
     verdict = json.loads((compared / strategy / "result.json").read_text())["verdict"]
     assert tuple(row) == COLUMNS
+    assert len(row["scenario_sha256"]) == 64
     for key in ("gap_vm_pu", "gap_va_deg", "error_vm_pu", "error_va_deg"):
         assert float(row[key]) == verdict[key]
     for key in ("exchanges", "messages", "bytes", "lost"):
