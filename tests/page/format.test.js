@@ -3,12 +3,18 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { clock, entryOf, labelOf, number, qualityClass, unitOf, when } from "./static/format.js";
+import { clock, entryOf, fixed, labelOf, number, qualityClass, unitOf, when } from "./static/format.js";
 
 test("what is no number is a dash, and no number has more digits than asked for", () => {
   assert.deepEqual([null, undefined, NaN, Infinity].map((value) => number(value)), ["-", "-", "-", "-"]);
   assert.deepEqual([1, 0.123456789, -12345.678].map((value) => number(value, 4)), ["1", "0.1235", "-12350"]);
   assert.equal(number(1.5e12), "1.50e+12");
+});
+
+test("numbers of a column have the same digits, however many they need", () => {
+  assert.deepEqual([1, 0.95, 0.97004].map((vm) => fixed(vm, "vm_pu")), ["1.0000", "0.9500", "0.9700"]);
+  assert.deepEqual([fixed(-0.004, "kw"), fixed(12.3456, "kw"), fixed(0.123456789, "")], ["0.00", "12.35", "0.12346"]);
+  assert.deepEqual([null, undefined, NaN, "3", Infinity].map((value) => fixed(value, "vm_pu")), ["-", "-", "-", "-", "-"]);
 });
 
 test("columns and units have the names that people use, and unknown ones stay readable", () => {

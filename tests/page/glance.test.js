@@ -1,51 +1,75 @@
-/** What is said at a glance. Run by `make page-check`. */
+/** What is said at a glance, and what is selected before anybody chooses. Run by `make page-check`. */
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { findTiles } from "./static/glance.js";
+import { findTiles, findWorst } from "./static/glance.js";
 
-const grid = { limits: [0.9, 1.1], buses: { id: [1, 2, 3, 4, 5, 6] } };
-const area = (quality, removed = []) => ({ quality, removed, present: true, silent: false, estimated: true });
-const moment = (more = {}) => ({
-  buses: { vm_pu: [1, 1.01, 0.99, 1, 0.95, 1] }, meters: { meter: ["m1", "m2"], normalised_residual: [2.5, 1] }, meter_counts: { used: 2 },
+const grid = { operating_limits: { lowest_vm_pu: 0.9, highest_vm_pu: 1.1, most_loading_percent: 100, most_residual: 3 } };
+const at = (where, value) => ({ at: where, value });
+const spread = (total, lowest, highest, more = {}) => ({ known: total, total, outside: 0, worst: [], lowest, highest, ...more });
+const total = (p, known = 1, of = known) => ({ known, total: of, p_kw: p, q_kvar: 0 });
+const summary = {
+  voltage: spread(6, at("5", 0.95), at("2", 1.01)), loading: spread(5, at("1-2", 3), at("2-3", 83.25)), current: spread(5, at("1-2", 1), at("2-3", 210)),
+  residual: spread(2, at("m2", 1), at("m1", 2.5)), head: total(3926.5), loss: total(211.2, 5), load: total(3715.3, 6), generation: total(0, 6),
+};
+const area = (quality, removed = [], notes = []) => ({ quality, removed, notes, present: true, silent: false, estimated: true });
+const moment = ({ of = {}, ...more } = {}) => ({
+  causes: [], summary: { ...summary, ...of }, meter_counts: { used: 2 },
+  meters: { meter: ["m1", "m9"], reading: [100, 55.5], estimate: [98.75, 20], unit: ["kw", "kw"] },
   links: [{ from: "a", to: "b", alive: true }, { from: "b", to: "a", alive: true }], view: { areas: { a: area("good"), b: area("good") } }, ...more,
 });
-const tilesOf = (more) => findTiles(moment(more), grid);
+const tilesOf = (more) => Object.fromEntries(findTiles(moment(more), grid).map((tile) => [tile.title, tile]));
 
 test("a feeder on which nothing is wrong", () => {
   const tiles = tilesOf();
-  assert.deepEqual(tiles.map(({ state }) => state), ["good", "good", "good", "good"]);
-  assert.deepEqual(tiles[0].offers.map(({ label }) => label), ["5: 0.95", "2: 1.01"]);
-  assert.deepEqual(tiles[1].offers, [{ label: "m1", choice: { kind: "meter", id: "m1" } }]);
-  assert.equal(tiles[3].text, "All 2 are good.");
+  assert.deepEqual(Object.values(tiles).map(({ state }) => state), ["good", "good", "good", "good", "good", "none"]);
+  assert.equal(tiles.Voltage.text, "All 6 buses within 0.9 to 1.1 p.u.");
+  assert.deepEqual(tiles.Voltage.offers.map(({ label }) => label), ["5: 0.9500", "2: 1.0100"]);
+  assert.deepEqual(tiles.Loading.offers.map(({ label }) => label), ["2-3: 83.3 %", "2-3: 210.0 A"]);
+  assert.deepEqual(tiles.Meters.offers, [{ label: "m1, reads 100.00 for 98.75", choice: { kind: "meter", id: "m1" } }]);
+  assert.equal(tiles.Areas.text, "All 2 are good.");
+  assert.equal(tiles.Power.text, "head: 3926.5 kW\nload: 3715.3 kW\nlosses: 211.2 kW");
 });
 
-test("buses outside the limits are offered, the farthest first, and counted", () => {
-  const [voltages] = tilesOf({ buses: { vm_pu: [0.88, 1.2, 0.7, 1.11, 0.85, 1] } });
-  assert.equal(voltages.state, "bad");
-  assert.equal(voltages.text, "5 buses outside 0.9 to 1.1 p.u., the worst 4 of them:");
-  assert.deepEqual(voltages.offers.map(({ choice }) => choice.id), ["3", "2", "5", "1"]);
+test("what is outside the limits is counted and offered, the farthest first", () => {
+  const { Voltage, Loading } = tilesOf({
+    of: {
+      voltage: spread(6, at("3", 0.7), at("2", 1.2), { outside: 5, worst: ["3", "2", "5", "1"].map((bus) => at(bus, 0.7)) }),
+      loading: spread(5, at("1-2", 3), at("2-3", 112), { outside: 1, worst: [at("2-3", 112)] }),
+    },
+  });
+  assert.deepEqual([Voltage.state, Voltage.text], ["bad", "5 buses outside 0.9 to 1.1 p.u."]);
+  assert.deepEqual(Voltage.offers.map(({ choice }) => choice.id), ["3", "2", "5", "1"]);
+  assert.deepEqual([Loading.state, Loading.text, Loading.offers[0].label], ["bad", "1 branch above 100 %.", "2-3: 112.0 %"]);
 });
 
-test("a voltage that is not known is not called good, nor is one of which two areas speak counted twice", () => {
-  const [some] = tilesOf({ buses: { vm_pu: [1, null, null, 1, 1, 1] } });
-  assert.deepEqual([some.state, some.text], ["degraded", "Within 0.9 to 1.1 p.u.; of 2 buses it is not known; lowest and highest:"]);
-  assert.equal(tilesOf({ buses: {} })[0].text, "No voltage is known.");
-  const [twice] = tilesOf({ buses: { id: [1, 2, 2], vm_pu: [1, 1.2, 1.2] } });
-  assert.equal(twice.text, "1 bus outside 0.9 to 1.1 p.u.:");
+test("what is not known now is not called good, and is counted", () => {
+  const { Voltage, Power } = tilesOf({ of: { voltage: spread(6, at("5", 0.95), at("2", 1.01), { known: 4 }), head: total(null, 0, 1), load: total(12, 4, 6) } });
+  assert.deepEqual([Voltage.state, Voltage.text], ["degraded", "Of 6 buses 4 known, within 0.9 to 1.1 p.u."]);
+  assert.equal(Power.text, "load: 12.0 kW (4 of 6 buses)\nlosses: 211.2 kW");
+  assert.equal(tilesOf({ of: { voltage: spread(6, null, null, { known: 0 }) } }).Voltage.text, "Of 6 buses 0 known.");
+  assert.equal(tilesOf({ of: { loading: spread(0, null, null) } }).Loading.text, "No branch has a rating; the largest current:");
 });
 
-test("removed meters are named beside the worst of those that are used", () => {
-  const [, meters] = tilesOf({ meter_counts: { used: 2, removed: 1, silent: 3 }, view: { areas: { a: area("good", ["m9"]) } } });
-  assert.deepEqual([meters.state, meters.text], ["bad", "Normalised residual 2.5; 1 removed, 3 silent:"]);
-  assert.deepEqual(meters.offers.map(({ label }) => label), ["m1", "m9 is removed"]);
+test("removed meters are named with reading and estimate", () => {
+  const { Meters } = tilesOf({ meter_counts: { used: 2, removed: 1, silent: 3 }, view: { areas: { a: area("good", ["m9"]) } } });
+  assert.deepEqual([Meters.state, Meters.text], ["bad", "1 removed, 3 silent. Largest normalised residual 2.50 of 3."]);
+  assert.deepEqual(Meters.offers.map(({ label }) => label), ["m9 is removed, reads 55.50 for 20.00", "m1, reads 100.00 for 98.75"]);
 });
 
-test("a dead link is named, and areas that are not good, the worst first", () => {
+test("a dead link is named, and areas that are not good with their reason, the worst first", () => {
   const links = [{ from: "a", to: "b", alive: true }, { from: "b", to: "a", alive: false }];
-  const [, , said, areas] = tilesOf({ links, view: { areas: { a: area("degraded"), b: area("good"), c: area("stale") } } });
-  assert.deepEqual([said.state, said.text], ["bad", "1 of 2 directions work: nothing from b to a."]);
-  assert.deepEqual([areas.state, areas.text], ["bad", "2 of 3 not good:"]);
-  assert.deepEqual(areas.offers.map(({ label }) => label), ["c: stale", "a: degraded"]);
+  const { Links, Areas } = tilesOf({ links, view: { areas: { a: area("degraded", [], ["neighbour c is gone"]), b: area("good"), c: area("stale", [], ["is gone"]) } } });
+  assert.deepEqual([Links.state, Links.text], ["bad", "1 of 2 directions work: nothing from b to a."]);
+  assert.deepEqual([Areas.state, Areas.text], ["bad", "2 of 3 not good."]);
+  assert.deepEqual(Areas.offers.map(({ label }) => label), ["c: stale, is gone", "a: degraded, neighbour c is gone"]);
+});
+
+test("the worst is the place of the first cause, else what is beyond its limit, else the lowest voltage", () => {
+  const cause = (more) => ({ areas: [], buses: [], branches: [], meters: [], ...more });
+  assert.deepEqual(findWorst(moment({ causes: [cause({ areas: ["c"], buses: [6] }), cause({ meters: ["m"] })] })), { kind: "bus", id: "6" });
+  assert.deepEqual(findWorst(moment({ of: { loading: spread(5, null, null, { outside: 1, worst: [at("2-3", 112)] }) } })), { kind: "branch", id: "2-3" });
+  assert.deepEqual(findWorst(moment()), { kind: "bus", id: "5" });
+  assert.equal(findWorst(moment({ of: { voltage: spread(6, null, null) } })), null);
 });

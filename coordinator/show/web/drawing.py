@@ -52,7 +52,7 @@ def draw_scenario(scenario: Scenario) -> dict[str, Any]:
         "title": scenario.name,
         "axis": axis,
         "is_map": on_map is not None,
-        **_describe_limits(scenario.operating_limits),
+        "operating_limits": _describe_limits(scenario.operating_limits),
         "buses": {
             "id": ids,
             "phase": [PHASE] * len(ids),
@@ -108,7 +108,7 @@ def draw_states(run: str, states: Mapping[str, StateMessage]) -> dict[str, Any]:
         "title": run,
         "axis": "",
         "is_map": False,
-        **_describe_limits(DEFAULT_OPERATING_LIMITS),
+        "operating_limits": _describe_limits(DEFAULT_OPERATING_LIMITS),
         "buses": buses,
         "branches": {key: [] for key in ("id", "from_bus", "to_bus", "in_service", "area")},
         "areas": areas,
@@ -116,11 +116,9 @@ def draw_states(run: str, states: Mapping[str, StateMessage]) -> dict[str, Any]:
 
 
 def _describe_limits(limits: OperatingLimits) -> dict[str, Any]:
-    """``limits``: the band of voltages alone."""
-    stated = {
+    return {
         "lowest_vm_pu": limits.lowest_vm,
         "highest_vm_pu": limits.highest_vm,
         "most_loading_percent": limits.most_loading_percent,
         "most_residual": limits.most_residual,
     }
-    return {"limits": [limits.lowest_vm, limits.highest_vm], "operating_limits": stated}

@@ -44,9 +44,14 @@ class _Link:
 
 @dataclass
 class Events:
-    """Events: changes from one view to the next, in words. ``kept``: the newest ones."""
+    """Events: changes from one view to the next, in words. ``kept``: the newest ones.
+
+    ``scan_s``: time between the last two scans, s; None before the second.
+    """
 
     kept: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_EVENTS))
+    scan_s: float | None = None
+    _scan: tuple[int, float] = (0, 0.0)  # the newest, and when it was first seen
     _before: dict[str, AreaView] = field(default_factory=dict)
     _links: dict[tuple[str, str], _Link] = field(default_factory=dict)  # sender first
 
@@ -62,6 +67,10 @@ class Events:
                 self.kept.append({"time": at, "area": name, "kind": "vanished", "text": "is gone"})
         self._before = seen
         self._take_links(at, view, links)
+        (last, since), newest = self._scan, max((area.scan for area in view.areas), default=0)
+        if newest > last:
+            self.scan_s = (at - since) / (newest - last) if last else None
+            self._scan = newest, at
 
     def _take_links(self, at: float, view: View, links: Links) -> None:
         """Adds an event for each link that stops working, that does not work although its receiver estimates, or that
@@ -141,6 +150,7 @@ class Moments:
             **draw_tables(tables, has_grid=self.known is not None),
             "links": links,
             "events": list(self.events.kept),
+            "scan_s": self.events.scan_s,
             "messages": [],
             "has_messages": False,
             **more,

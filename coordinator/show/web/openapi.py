@@ -80,7 +80,6 @@ class Grid(TypedDict):
     title: str
     axis: str
     is_map: bool
-    limits: list[float]
     operating_limits: OperatingLimits
     buses: BusColumns
     branches: BranchColumns
@@ -136,6 +135,7 @@ class Moment(TypedDict):
     meter_counts: NotRequired[dict[str, int]]
     links: NotRequired[list[Link]]
     events: NotRequired[list[Event]]
+    scan_s: NotRequired[Number]
     messages: NotRequired[list[dict[str, Any]]]
     has_messages: NotRequired[bool]
 

@@ -57,14 +57,30 @@ def test_a_bus_is_selected_an_area_dies_and_comes_back(shown: Shown):
         page.wait_for_selector("#past canvas")
         keep_picture(page, "page-live")
         shown.system.end("area2", signal.SIGKILL)
+        page.wait_for_selector("#cause.bad >> text=area2 is gone", timeout=LONG_MS)
         page.wait_for_selector("#areas >> text=is gone", timeout=LONG_MS)
         wait_until(lambda: cell_of(page, "area1", "Quality") == "degraded")
         page.wait_for_selector("#glance .bad >> text=2 of 2 not good")
         page.locator("#glance button", has_text="area2: stale").click()
         page.wait_for_selector("#facts >> text=is gone")
+        page.wait_for_selector("#facts >> text=not fresh: the last ones")
+        page.wait_for_selector("#glance >> text=known, within")
         page.wait_for_selector("#events >> text=area2 is gone", timeout=LONG_MS)
+        page.locator("#alarms button", has_text="Acknowledge").first.click()
+        page.reload()
+        page.wait_for_selector("#alarms >> text=acknowledged", timeout=LONG_MS)  # this browser has kept it
+        assert page.locator("#alarms button").count() == 0
+        assert "Selected: the worst" in page.locator("#selected-title").text_content()
+        page.wait_for_selector("#facts >> text=area2")
+        with page.expect_download() as download:
+            page.locator("#meters-csv").click()
+        header, *rows = Path(download.value.path()).read_text().splitlines()
+        assert {"meter", "reading", "unit", "fresh"} <= set(header.split(","))
+        assert len(rows) > 5
         shown.system.start("area2", "agent", "areas/area2.toml")
+        page.wait_for_selector("#cause.good >> text=Nothing is wrong", timeout=LONG_MS)
         wait_until(lambda: page.locator("#areas .good").count() == 2)
+        wait_until(lambda: page.locator("#alarms li", has_text="area2 is gone").count() == 0)  # acknowledged, and over
 
 
 def test_the_page_says_that_the_server_is_gone_and_goes_on_when_it_is_back(shown: Shown):
@@ -126,6 +142,12 @@ def test_assistive_technology_finds_its_way(tmp_path: Path, scheme: str):
         page.wait_for_selector("#past canvas")
         keep_picture(page, f"page-{scheme}")
         found = axe.Axe().run(page).response["violations"]
+        page.set_viewport_size({"width": 400, "height": 900})
+        page.locator("#meters").scroll_into_view_if_needed()
+        assert page.evaluate("document.documentElement.scrollWidth") <= 400
+        card = page.locator("#meters tbody tr").first
+        assert card.bounding_box()["width"] <= 400
+        assert card.locator("td[data-title=Reading]").is_visible()
     assert [(v["id"], [node["target"] for node in v["nodes"]]) for v in found] == []
 
 

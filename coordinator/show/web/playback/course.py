@@ -7,7 +7,6 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from functools import cached_property
-from typing import Any
 
 from agents.messages.packing import ReadingsMessage, StateMessage
 from coordinator.show.web.moment import Events, find_links
@@ -64,13 +63,13 @@ class Course:
     def _slice_of(self, at: float) -> float:
         return (at - self._times[0]) // self._slice_s if self._slice_s and at < math.inf else at
 
-    def find_events(self) -> list[dict[str, Any]]:
+    def find_events(self) -> Events:
         """The events of the play in the order of their times, the newest ``MOST_EVENTS`` of them."""
         events = Events(deque(maxlen=MOST_EVENTS))
         for at, watcher in self.walk():
             view = watcher.look(at)
             events.take(at, view, find_links(view))
-        return list(events.kept)
+        return events
 
 
 def _show(watcher: Watcher, at: float, item: Update) -> None:

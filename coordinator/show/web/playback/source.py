@@ -93,7 +93,8 @@ class PlaybackSource:
         self._sent_at = [sent.at for sent in play.messages]
         self._longest_way_s = max((s.arrived - s.at for s in play.messages if s.arrived is not None), default=0.0)
         self._course = Course(play, frozenset(area.name for area in scenario.partition.areas) if scenario else None)
-        self._events = self._course.find_events()
+        events = self._course.find_events()
+        self._events, self._scan_s = list(events.kept), events.scan_s
         self._past = PastOfPlay(self._course, scenario)
         self._drawing = drawing or encode_drawing(_draw(play, scenario), self.mode)
         self.is_complete = is_complete
@@ -140,7 +141,8 @@ class PlaybackSource:
             messages=[_describe(sent, at) for sent in self._messages_at(before, at)],
         )
         end = bisect.bisect_right(self._events, at, key=itemgetter("time"))
-        return encode_json(moment | {"events": self._events[max(0, end - MOST_EVENTS) : end]})
+        shown = {"events": self._events[max(0, end - MOST_EVENTS) : end], "scan_s": self._scan_s}
+        return encode_json(moment | shown)
 
     def _messages_at(self, before: float, at: float) -> Iterator[Sent]:
         """Messages on their way at ``at``, and those that have arrived or were sent and lost since ``before``."""

@@ -1,26 +1,24 @@
-/** The voltage profile, and the past of what is selected. */
+/** The voltage profile, and what all charts have in common. */
 
-import { byId, clock, colour, labelOf, number } from "./format.js";
+import { byId, colour, number } from "./format.js";
 import { spanOf } from "./layout.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Moment} Moment */
 
 const uPlot = /** @type {any} */ (window).uPlot;
-const MOMENT_S = 5; // to either side of a single moment
 const SIGMAS = 3; // of the band around an estimate
 const HEIGHT = 260;
-const PAST_HEIGHT = 200;
 const DOT = 5; // pixels of a bus of the profile; a third of it where there are very many
 const MOST_DOTS = 1500;
 
 /** @param {string} label */
-function axis(label) {
+export function axis(label) {
   const line = { stroke: () => colour("--line"), width: 1 };
   return { label, stroke: () => colour("--ink"), grid: line, ticks: line };
 }
 
 /** Ticks that differ are written differently, where uPlot rounds to thousandths. @param {string} label */
-function valueAxis(label) {
+export function valueAxis(label) {
   return { ...axis(label), values: (/** @type {any} */ _, /** @type {number[]} */ ticks) => ticks.map((tick) => number(tick, 7)) };
 }
 
@@ -29,14 +27,8 @@ function valueAxis(label) {
  * @param {number[]} also values that are on it in any case
  * @returns {{range: (chart: any, low: number | null, high: number | null) => [number, number]}}
  */
-function fitted(...also) {
+export function fitted(...also) {
   return { range: (_, low, high) => (also.length ? spanOf(Math.min(low ?? Infinity, ...also), Math.max(high ?? -Infinity, ...also)) : spanOf(low, high)) };
-}
-
-/** From the first moment to the last; where there is but one uPlot would show years. @param {any} chart @param {number | null} first @param {number | null} last @returns {[number, number]} */
-function timesOf(chart, first, last) {
-  const from = first ?? 0, to = last ?? from;
-  return chart.data[0].length > 1 && to > from ? [from, to] : [from - MOMENT_S, from + MOMENT_S];
 }
 
 export class Profile {
@@ -44,7 +36,7 @@ export class Profile {
   constructor(grid) {
     this.holder = byId("profile");
     this.holder.replaceChildren();
-    this.grid = grid;
+    this.limits = [grid.operating_limits.lowest_vm_pu, grid.operating_limits.highest_vm_pu];
     const known = grid.buses.id.map((_, k) => k).filter((k) => grid.buses.distance[k] !== null);
     this.order = known.sort((a, b) => /** @type {number} */ (grid.buses.distance[a]) - /** @type {number} */ (grid.buses.distance[b]));
     this.x = this.order.map((k) => /** @type {number} */ (grid.buses.distance[k]));
@@ -57,7 +49,7 @@ export class Profile {
     this.chart = new uPlot({
       width: this.holder.clientWidth || 600,
       height: HEIGHT,
-      scales: { x: { time: false }, y: fitted(...grid.limits) },
+      scales: { x: { time: false }, y: fitted(...this.limits) },
       axes: [axis(grid.axis), valueAxis("voltage (p.u.)")],
       cursor: { show: false },
       series: [{}, { paths: () => null, points: { show: false } }],
@@ -67,10 +59,10 @@ export class Profile {
     this.observer.observe(this.holder);
   }
 
-  /** @param {Moment} moment */
+  /** A gap where a value is not fresh. @param {Moment} moment */
   show(moment) {
     const [vm, sigma] = ["vm_pu", "sigma_vm_pu"].map((name) =>
-      this.order.map((k) => /** @type {number | null} */ (moment.buses[name]?.[k] ?? null)));
+      this.order.map((k) => /** @type {number | null} */ (moment.buses.fresh?.[k] === false ? null : moment.buses[name]?.[k] ?? null)));
     this.sigma = sigma;
     this.chart.setData([this.x, vm]);
   }
@@ -83,7 +75,7 @@ export class Profile {
     context.lineWidth = 1.5 * uPlot.pxRatio;
     context.setLineDash([6 * uPlot.pxRatio, 4 * uPlot.pxRatio]);
     context.beginPath();
-    for (const limit of this.grid.limits) {
+    for (const limit of this.limits) {
       const at = chart.valToPos(limit, "y", true);
       context.moveTo(bbox.left, at);
       context.lineTo(bbox.left + bbox.width, at);
@@ -95,7 +87,7 @@ export class Profile {
   /** A line for each branch; for each bus a dot, and a bar of three standard deviations to either side. @param {any} chart */
   drawBuses(chart) {
     const context = chart.ctx, vm = chart.data[1], size = (this.x.length > MOST_DOTS ? DOT / 3 : DOT) * uPlot.pxRatio;
-    const [low, high] = this.grid.limits;
+    const [low, high] = this.limits;
     const x = this.x.map((value) => chart.valToPos(value, "x", true)), y = vm.map((/** @type {number | null} */ value) => value === null ? null : chart.valToPos(value, "y", true));
     context.save();
     context.lineWidth = uPlot.pxRatio;
@@ -131,52 +123,5 @@ export class Profile {
   destroy() {
     this.observer.disconnect();
     this.chart.destroy();
-  }
-}
-
-const SHOWN = {
-  bus: ["vm_pu", labelOf("vm_pu")],
-  branch: ["p_from_kw", labelOf("p_from_kw")],
-  meter: ["reading", "reading, dashed: estimate"],
-  area: ["quality", "quality (0 is good)"],
-};
-
-/** The past of what is chosen: one chart that lives as long as the choice. */
-export class Past {
-  constructor() {
-    this.holder = byId("past");
-    this.of = "";
-    /** @type {any} */ this.chart = null;
-    new ResizeObserver(() => this.chart?.setSize({ width: this.holder.clientWidth, height: PAST_HEIGHT })).observe(this.holder);
-  }
-
-  /** In the colours that hold now. */
-  repaint() {
-    this.chart?.redraw(false);
-  }
-
-  /** Show nothing. */
-  clear() {
-    this.chart?.destroy(); // else the browser keeps it, and its listeners, for ever
-    this.chart = null;
-    this.of = "";
-  }
-
-  /** @param {"bus"|"branch"|"meter"|"area"} kind @param {string} id @param {{time: number[], columns: Record<string, (number | null)[]>}} past @param {boolean} ofDay */
-  show(kind, id, past, ofDay) {
-    if (!past.time.length) return this.clear();
-    const series = kind === "meter" ? [past.columns.reading, past.columns.estimate] : [past.columns[SHOWN[kind][0]]];
-    if (this.of === `${kind} ${id}`) return this.chart.setData([past.time, ...series]);
-    this.clear();
-    this.of = `${kind} ${id}`;
-    const styles = [{ stroke: () => colour("--mark"), width: 1.5 }, { stroke: () => colour("--good"), width: 1.5, dash: [4, 3] }];
-    this.chart = new uPlot({
-      width: this.holder.clientWidth || 300,
-      height: PAST_HEIGHT,
-      scales: { x: { time: ofDay, range: timesOf }, y: fitted() },
-      axes: [ofDay ? { ...axis(""), values: (/** @type {any} */ _, /** @type {number[]} */ ticks) => ticks.map(clock), space: 70 } : axis("time (s)"), { ...valueAxis(SHOWN[kind][1]), size: 76 }],
-      cursor: { show: false },
-      series: [{}, ...styles.slice(0, series.length)],
-    }, [past.time, ...series], this.holder);
   }
 }

@@ -1,7 +1,7 @@
 /** The feeder: what is shown of it, zoomed and chosen there. `painter.js` paints it, on a thread of its own. */
 
-import { byId, colour } from "./format.js";
-import { placeBuses } from "./layout.js";
+import { byId, colour, number } from "./format.js";
+import { edgesOf, heightOf, placeBuses } from "./layout.js";
 import { findDeadLinks } from "./links.js";
 import { findStructure, paintFeeder } from "./paint.js";
 
@@ -11,28 +11,29 @@ import { findStructure, paintFeeder } from "./paint.js";
 
 const d3 = /** @type {any} */ (window).d3;
 const NEAR = 14; // pixels within which a click finds a bus
-const STEPS = 32; // of voltage
+const STEPS = 10; // of voltage
 const INKS = ["--paper", "--ink", "--faint", "--line", "--good", "--degraded", "--bad", "--mark", "--shade-degraded", "--shade-bad"];
 const CALM = [0, 3, 6, 4, 8, 9]; // of Tableau's ten colours, those that nobody takes for an alarm
 
-/** Of voltages from low to high: even steps of lightness, as in pictures, as far as they stand out from the paper. @returns {Palette} */
+/** Of voltages: a step each, low ones violet, high ones brown, pale about the nominal one; red is left to what is wrong. @returns {Palette} */
 function readPalette() {
-  const low = Number(colour("--low")), high = Number(colour("--high"));
   return {
     colours: Object.fromEntries(INKS.map((name) => [name, colour(name)])),
     areas: CALM.map((k) => d3.schemeTableau10[k]),
-    voltages: Array.from({ length: STEPS }, (_, k) => d3.interpolateViridis(low + ((high - low) * k) / (STEPS - 1))),
+    voltages: d3.schemePuOr[STEPS],
   };
 }
 
-/** The colours of voltages, in the legend. @param {Palette} palette */
-function paintScale({ voltages }) {
+/** The steps of voltage in the legend. @param {Palette} palette @param {import("./types.js").Limits} limits */
+function paintScale({ voltages }, limits) {
+  const edges = edgesOf(limits), wide = 100 / voltages.length;
   byId("voltages").replaceChildren(...voltages.map((ink, k) => {
-    const stop = document.createElementNS("http://www.w3.org/2000/svg", "stop");
-    stop.setAttribute("offset", String(k / (voltages.length - 1)));
-    stop.setAttribute("stop-color", ink);
-    return stop;
+    const step = document.createElementNS("http://www.w3.org/2000/svg", "rect");
+    for (const [name, value] of Object.entries({ x: k * wide, y: 0, width: wide, height: 12, fill: ink })) step.setAttribute(name, String(value));
+    return step;
   }));
+  byId("lowest").textContent = number(edges[0], 4);
+  byId("scale").textContent = `${number(edges[edges.length - 1], 4)} p.u., ${number(edges[1] - edges[0], 3)} a step`;
 }
 
 /** One finger scrolls the page, or nobody would get past the drawing on a phone. @param {any} event @returns {boolean} */
@@ -47,6 +48,9 @@ function pickPainted(moment, grid) {
     bus: /** @type {number[]} */ (moment.buses.id ?? grid.buses.id),
     vm: /** @type {(number | null)[]} */ (moment.buses.vm_pu ?? []),
     loading: /** @type {(number | null)[]} */ (moment.branches.loading_percent ?? []),
+    fresh: /** @type {boolean[]} */ (moment.buses.fresh ?? []),
+    freshBranches: /** @type {boolean[]} */ (moment.branches.fresh ?? []),
+    cause: moment.causes[0] ?? null,
     links: moment.links,
     dead: findDeadLinks(moment),
     messages: moment.messages,
@@ -81,13 +85,15 @@ export class Feeder {
   /** In the colours that hold now. */
   repaint() {
     const palette = readPalette();
-    paintScale(palette);
+    if (this.painting.grid) paintScale(palette, this.painting.grid.operating_limits);
     this.change({ palette });
   }
 
   /** @param {Grid} grid */
   setGrid(grid) {
     this.change({ grid, moment: null }); // the moment may be about another grid
+    this.canvas.style.height = `${heightOf(grid)}px`;
+    paintScale(readPalette(), grid.operating_limits);
     this.fit();
   }
 
@@ -142,7 +148,7 @@ export class Feeder {
     const { grid, view } = this.painting;
     if (!grid || !view) return;
     const palette = readPalette(), painting = { .../** @type {Painting} */ (this.painting), view: { ...view, ratio: 2 }, palette };
-    paintScale(palette);
+    paintScale(palette, grid.operating_limits);
     paintFeeder(this.print, painting, findStructure(grid));
   }
 

@@ -7,7 +7,14 @@ const GOOD = "good";
   p_kw: "injected active power (kW)", q_kvar: "injected reactive power (kvar)",
   p_from_kw: "active power (kW)", q_from_kvar: "reactive power (kvar)", i_from_a: "current (A)", loss_kw: "loss (kW)",
   loading_percent: "loading (%)", age_s: "age (s)", sigma: "σ of the reading", residual_in_sigmas: "residual in σ of the reading",
+  lowest_vm_pu: "lowest voltage (p.u.)", highest_vm_pu: "highest voltage (p.u.)", lost: "lost messages",
 };
+/** @type {Record<string, number>} */ const DECIMALS = { // after the point: a column, or a unit of a reading
+  vm_pu: 4, lowest_vm_pu: 4, highest_vm_pu: 4, va_deg: 3, sigma_vm_pu: 5, sigma_va_deg: 4, p_kw: 1, q_kvar: 1, p_from_kw: 1, q_from_kvar: 1,
+  i_from_a: 1, loss_kw: 2, loading_percent: 1, normalised_residual: 2, residual_in_sigmas: 2, age_s: 1,
+  pu: 4, deg: 3, kw: 2, kvar: 2, a: 2,
+};
+const OTHER_DECIMALS = 5; // of a reading in p.u. or rad
 /** @type {Record<string, string>} */ const UNITS = { pu: "p.u.", deg: "°", kw: "kW", kvar: "kvar", a: "A" };
 
 /** @param {string} column of the API @returns {string} what it is called on the page */
@@ -39,6 +46,17 @@ export function number(value, digits = 5) {
   return Math.abs(value) >= 1e9 ? value.toExponential(2) : String(Number(value.toPrecision(digits)));
 }
 
+/**
+ * A number of a column, or of a unit, with the digits that all numbers there have.
+ * @param {unknown} value @param {string} of @returns {string}
+ */
+export function fixed(value, of) {
+  if (typeof value !== "number" || !Number.isFinite(value)) return "-";
+  if (Math.abs(value) >= 1e9) return value.toExponential(2);
+  const text = value.toFixed(entryOf(DECIMALS, of) ?? OTHER_DECIMALS);
+  return Number(text) === 0 ? text.replace("-", "") : text;
+}
+
 /** @param {number} seconds since 1970 @returns {string} local time of day, 0 to 24 h as in a control room */
 export function clock(seconds) {
   return new Date(seconds * 1000).toLocaleTimeString([], { hourCycle: "h23" });
@@ -53,7 +71,7 @@ export function clock(seconds) {
 export function when(moment, at) {
   if (moment.mode === "live") return clock(at);
   const since = moment.time - moment.at;
-  return since > 0 ? clock(since + at) : `${number(at, 6)} s`;
+  return since > 0 ? clock(since + at) : `${Number(at.toFixed(3))} s`;
 }
 
 /**

@@ -1,64 +1,70 @@
-/** What an engineer asks first: limits violated, the worst meter, dead links, areas that are not good. */
+/** What an engineer asks first: voltages, loadings, meters, areas, links, powers; figures of what is fresh only. */
 
-import { byId, element, number, qualityClass } from "./format.js";
+import { placesOf } from "./cause.js";
+import { byId, element, fixed, qualityClass } from "./format.js";
 import { findDeadLinks } from "./links.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Moment} Moment @typedef {import("./types.js").Choice} Choice */
+/** @typedef {import("./types.js").Spread} Spread @typedef {import("./types.js").Total} Total @typedef {import("./types.js").Extreme} Extreme */
 /** @typedef {{label: string, choice: Choice}} Offer what can be chosen, and what its button says */
-/** @typedef {{title: string, state: "good"|"degraded"|"bad", text: string, offers: Offer[]}} Tile */
+/** @typedef {"good"|"degraded"|"bad"|"none"} State none: nothing is said of it */
+/** @typedef {{title: string, state: State, text: string, offers: Offer[]}} Tile */
 
 const MOST_OFFERS = 4; // of a tile
-const SIGNS = { good: "✓", degraded: "!", bad: "✕" }; // beside the colour, for who does not see it
+const MOST_AREAS = 2; // with their reasons
+const SIGNS = { good: "✓", degraded: "!", bad: "✕", none: "" }; // beside the colour, for who does not see it
 const REJECTED = ["removed", "silent", "off"]; // meters that are not used
 
 /** @param {number} count @param {string} noun @returns {string} */
 function counted(count, noun) {
-  return `${count} ${noun}${count === 1 ? "" : noun.endsWith("s") ? "es" : "s"}`;
+  return `${count} ${noun}${count === 1 ? "" : /(s|ch)$/.test(noun) ? "es" : "s"}`;
 }
 
-/** @param {number} count of what is offered @returns {string} */
-function more(count) {
-  return count > MOST_OFFERS ? `, the worst ${MOST_OFFERS} of them:` : ":";
+/** @param {Choice["kind"]} kind @param {string} column whose digits the value has @param {string} [unit] @returns {(extreme: Extreme) => Offer} */
+function offering(kind, column, unit = "") {
+  return ({ at, value }) => ({ label: `${at}: ${fixed(value, column)}${unit}`, choice: { kind, id: at } });
 }
 
-/** @param {number} bus @param {number} vm @returns {Offer} */
-function offerBus(bus, vm) {
-  return { label: `${bus}: ${number(vm, 4)}`, choice: { kind: "bus", id: String(bus) } };
+/** @param {Spread | Total} of @param {string} noun @returns {string} */
+function knownOf({ known, total }, noun) {
+  return `Of ${counted(total, noun)} ${known} known`;
 }
 
 /** @param {Moment} moment @param {Grid} grid @returns {Tile} */
-function findVoltages(moment, grid) {
-  const title = "Voltage limits", [low, high] = grid.limits, limits = `${low} to ${high} p.u.`;
-  const bus = /** @type {number[]} */ (moment.buses.id ?? grid.buses.id), vm = moment.buses.vm_pu ?? [];
-  /** @type {Map<number, number>} */ const known = new Map();
-  bus.forEach((id, k) => {
-    if (typeof vm[k] === "number") known.set(id, vm[k]);
-  });
-  if (!known.size) return { title, state: "degraded", text: "No voltage is known.", offers: [] };
-  const all = [...known], far = (/** @type {number} */ value) => Math.max(value - high, low - value);
-  const outside = all.filter(([, value]) => far(value) > 0).sort(([, a], [, b]) => far(b) - far(a));
-  if (outside.length) {
-    const text = `${counted(outside.length, "bus")} outside ${limits}${more(outside.length)}`;
-    return { title, state: "bad", text, offers: outside.slice(0, MOST_OFFERS).map(([id, value]) => offerBus(id, value)) };
+function findVoltages({ summary: { voltage } }, { operating_limits: { lowest_vm_pu: low, highest_vm_pu: high } }) {
+  const title = "Voltage", limits = `${low} to ${high} p.u.`, offer = offering("bus", "vm_pu"), isWhole = voltage.known === voltage.total && voltage.total > 0;
+  if (!voltage.known || !voltage.lowest || !voltage.highest) return { title, state: "degraded", text: `${knownOf(voltage, "bus")}.`, offers: [] };
+  if (voltage.outside) {
+    const rest = isWhole ? "" : ` ${knownOf(voltage, "bus")}.`;
+    return { title, state: "bad", text: `${counted(voltage.outside, "bus")} outside ${limits}${rest}`, offers: voltage.worst.slice(0, MOST_OFFERS).map(offer) };
   }
-  const lowest = all.reduce((a, b) => (b[1] < a[1] ? b : a)), highest = all.reduce((a, b) => (b[1] > a[1] ? b : a));
-  const unknown = new Set(grid.buses.id).size - known.size;
-  const rest = unknown > 0 ? `; of ${counted(unknown, "bus")} it is not known` : "";
-  return {
-    title, state: unknown > 0 ? "degraded" : "good", text: `Within ${limits}${rest}; lowest and highest:`,
-    offers: [offerBus(...lowest), offerBus(...highest)],
-  };
+  const text = isWhole ? `All ${counted(voltage.total, "bus")} within ${limits}` : `${knownOf(voltage, "bus")}, within ${limits}`;
+  return { title, state: isWhole ? "good" : "degraded", text, offers: [offer(voltage.lowest), offer(voltage.highest)] };
 }
 
-/** @param {Moment} moment @returns {Tile} */
-function findMeters({ meters, meter_counts: counts, view }) {
-  const title = "Worst meter", worst = meters.meter?.[0], off = meters.normalised_residual?.[0];
-  const removed = [...new Set(Object.values(view.areas).flatMap((area) => area.removed))];
+/** @param {Moment} moment @param {Grid} grid @returns {Tile} */
+function findLoadings({ summary: { loading, current } }, { operating_limits: { most_loading_percent: most } }) {
+  const title = "Loading", offer = offering("branch", "loading_percent", " %"), strongest = current.highest ? [offering("branch", "i_from_a", " A")(current.highest)] : [];
+  if (!loading.total && !current.total) return { title, state: "none", text: "Without a scenario no current is known.", offers: [] };
+  if (!loading.total) return { title, state: "none", text: "No branch has a rating; the largest current:", offers: strongest };
+  const rest = loading.known === loading.total ? "" : ` ${knownOf(loading, "branch")}.`;
+  if (loading.outside) return { title, state: "bad", text: `${counted(loading.outside, "branch")} above ${most} %.${rest}`, offers: [...loading.worst.slice(0, MOST_OFFERS - 1).map(offer), ...strongest] };
+  const text = loading.known ? `At most ${fixed(loading.highest?.value, "loading_percent")} % of ${most} %.${rest}` : rest.trim();
+  return { title, state: rest ? "degraded" : "good", text, offers: [...(loading.highest ? [offer(loading.highest)] : []), ...strongest] };
+}
+
+/** @param {Moment} moment @param {Grid} grid @returns {Tile} */
+function findMeters({ meters, meter_counts: counts, view, summary: { residual } }, { operating_limits: { most_residual: most } }) {
+  const title = "Meters", removed = [...new Set(Object.values(view.areas).flatMap((area) => area.removed))];
   const said = REJECTED.filter((status) => counts[status]).map((status) => `${counts[status]} ${status}`).join(", ");
-  /** @type {Offer[]} */ const offers = removed.slice(0, MOST_OFFERS - 1).map((id) => ({ label: `${id} is removed`, choice: { kind: "meter", id } }));
-  if (typeof off === "number") offers.unshift({ label: String(worst), choice: { kind: "meter", id: String(worst) } });
-  const text = typeof off === "number" ? `Normalised residual ${number(off, 3)}${said ? `; ${said}` : ""}:` : said ? `No residual is known; ${said}${removed.length ? ":" : "."}` : "No residual is known.";
-  return { title, state: said ? "bad" : typeof off === "number" ? "good" : "degraded", text, offers };
+  const readingOf = (/** @type {string} */ id) => {
+    const k = meters.meter?.indexOf(id) ?? -1, unit = String(meters.unit?.[k] ?? "");
+    return k < 0 ? "" : `, reads ${fixed(meters.reading[k], unit)} for ${fixed(meters.estimate[k], unit)}`;
+  };
+  /** @type {Offer[]} */ const offers = removed.slice(0, MOST_OFFERS - 1).map((id) => ({ label: `${id} is removed${readingOf(id)}`, choice: { kind: "meter", id } }));
+  if (residual.highest) offers.push({ label: `${residual.highest.at}${readingOf(residual.highest.at)}`, choice: { kind: "meter", id: residual.highest.at } });
+  const first = said ? `${said}. ` : "", text = residual.highest ? `${first}Largest normalised residual ${fixed(residual.highest.value, "normalised_residual")} of ${most}.` : `${first}No residual is known.`;
+  return { title, state: said ? "bad" : residual.outside || !residual.highest ? "degraded" : "good", text, offers };
 }
 
 /** @param {Moment} moment @returns {Tile} */
@@ -81,14 +87,35 @@ function findAreas({ view }) {
   if (!areas.length) return { title, state: "bad", text: "Nobody is there.", offers: [] };
   if (!poor.length) return { title, state: "good", text: areas.length === 1 ? "The one area is good." : `All ${areas.length} are good.`, offers: [] };
   return {
-    title, state: classOf(poor[0][1].quality), text: `${poor.length} of ${areas.length} not good${more(poor.length)}`,
-    offers: poor.slice(0, MOST_OFFERS).map(([id, area]) => ({ label: `${id}: ${area.quality}`, choice: { kind: "area", id } })),
+    title, state: classOf(poor[0][1].quality), text: `${poor.length} of ${areas.length} not good.`,
+    offers: poor.slice(0, MOST_AREAS).map(([id, area]) => ({ label: `${id}: ${area.quality}${area.notes[0] ? `, ${area.notes[0]}` : ""}`, choice: { kind: "area", id } })),
   };
+}
+
+/** @param {Moment} moment @returns {Tile} */
+function findPowers({ summary: { head, load, generation, loss } }) {
+  const title = "Power", say = (/** @type {string} */ name, /** @type {Total} */ { p_kw: p, known, total }, /** @type {string} */ noun) =>
+    p === null ? [] : [`${name}: ${fixed(p, "p_kw")} kW${known < total ? ` (${known} of ${counted(total, noun)})` : ""}`];
+  const words = [...say("head", head, "bus"), ...say("load", load, "bus"), ...(generation.p_kw ? say("generation", generation, "bus") : []), ...say("losses", loss, "branch")];
+  return { title, state: "none", text: words.length ? words.join("\n") : "No power is known.", offers: [] };
 }
 
 /** @param {Moment} moment @param {Grid} grid @returns {Tile[]} */
 export function findTiles(moment, grid) {
-  return [findVoltages(moment, grid), findMeters(moment), findLinks(moment), findAreas(moment)];
+  return [findVoltages(moment, grid), findLoadings(moment, grid), findMeters(moment, grid), findAreas(moment), findLinks(moment), findPowers(moment)];
+}
+
+/**
+ * What is worst: the place of the first cause, else what is farthest beyond its limit, else the lowest voltage.
+ * @param {Moment} moment @returns {Choice | null}
+ */
+export function findWorst({ causes, summary: { voltage, loading, residual } }) {
+  const [place] = causes.length ? placesOf(causes[0]) : [];
+  if (place) return { kind: place[0], id: place[1][0] };
+  if (voltage.outside) return { kind: "bus", id: voltage.worst[0].at };
+  if (loading.outside) return { kind: "branch", id: loading.worst[0].at };
+  if (residual.outside) return { kind: "meter", id: residual.worst[0].at };
+  return voltage.lowest ? { kind: "bus", id: voltage.lowest.at } : null;
 }
 
 /** The tiles on the page; buttons are reused, so that focus stays. */
@@ -115,7 +142,7 @@ export class Glance {
   write(place, { title, state, text, offers }) {
     const [heading, words, list] = place.children;
     place.className = `tile ${state}`;
-    for (const [line, said] of /** @type {[Element, string][]} */ ([[heading, `${SIGNS[state]} ${title}`], [words, text]])) {
+    for (const [line, said] of /** @type {[Element, string][]} */ ([[heading, `${SIGNS[state]} ${title}`.trim()], [words, text]])) {
       if (line.textContent !== said) line.textContent = said;
     }
     while (list.children.length > offers.length) list.lastElementChild?.remove();

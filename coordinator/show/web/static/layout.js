@@ -1,7 +1,8 @@
 /** Where things lie on the canvas. No canvas, no document: numbers in, numbers out. */
 
-/** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").View} View */
+/** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").View} View @typedef {import("./types.js").Limits} Limits */
 /** @typedef {[number, number]} Point */
+/** @typedef {{length: number, end: number | null}} Range seconds that are shown, up to `end`; null: up to the newest */
 /** @typedef {{kx: number, ox: number, ky: number, oy: number}} Fit pixels = k * coordinate + o */
 /**
  * @typedef {{name: string, rows: number[], segments: [number, number][]}} Shape
@@ -9,16 +10,30 @@
  */
 
 const MARGIN = 34; // pixels around the whole feeder
+const LONGEST = 90; // pixels between two columns, and between two rows
+const LOWEST = 180, HIGHEST = 420; // pixels of the canvas
+const MOMENT_S = 5; // to either side of a single moment
+const STEPS = 5; // of voltage on either side of the nominal one
 
 /**
- * The scales that bring all of a feeder onto a canvas.
+ * The scales that bring all of a feeder into the middle of a canvas: as wide and as high as it is drawn, but never more
+ * than `LONGEST` pixels for a column or a row. Coordinates of a map have one scale, and north above.
  * @param {number[]} x @param {number[]} y @param {number} width @param {number} height @param {number} margin pixels
+ * @param {boolean} isMap
  * @returns {Fit}
  */
-export function fitInto(x, y, width, height, margin) {
-  const [left, right] = extent(x), [top, bottom] = extent(y);
-  const kx = Math.max(1, width - 2 * margin) / Math.max(right - left, 1), ky = Math.max(1, height - 2 * margin) / Math.max(bottom - top, 1);
-  return { kx, ox: margin - kx * left, ky, oy: margin - ky * top };
+export function fitInto(x, y, width, height, margin, isMap = false) {
+  const [left, right] = extent(x), [top, bottom] = extent(y), most = isMap ? Infinity : LONGEST, least = isMap ? 1e-9 : 1;
+  let kx = Math.min(most, Math.max(1, width - 2 * margin) / Math.max(right - left, least));
+  let ky = Math.min(most, Math.max(1, height - 2 * margin) / Math.max(bottom - top, least));
+  if (isMap) [kx, ky] = [Math.min(kx, ky), -Math.min(kx, ky)];
+  return { kx, ox: width / 2 - (kx * (left + right)) / 2, ky, oy: height / 2 - (ky * (top + bottom)) / 2 };
+}
+
+/** @param {Grid} grid @returns {number} pixels that its rows need, at most what a screen has for them */
+export function heightOf({ buses, is_map: isMap }) {
+  const [top, bottom] = extent(buses.y);
+  return isMap ? HIGHEST : Math.min(HIGHEST, Math.max(LOWEST, LONGEST * (bottom - top) + 2 * MARGIN));
 }
 
 /**
@@ -26,7 +41,7 @@ export function fitInto(x, y, width, height, margin) {
  * @param {Grid} grid @param {View} view @returns {Point[]} pixels
  */
 export function placeBuses(grid, { width, height, transform }) {
-  const { x, y } = grid.buses, { kx, ox, ky, oy } = fitInto(x, y, width, height, MARGIN);
+  const { x, y } = grid.buses, { kx, ox, ky, oy } = fitInto(x, y, width, height, Math.min(MARGIN, width / 16), grid.is_map);
   const { k, x: left, y: top } = transform;
   return x.map((value, row) => [k * (kx * value + ox) + left, k * (ky * y[row] + oy) + top]);
 }
@@ -94,9 +109,34 @@ export function keepApart(labels, boxOf) {
   });
 }
 
-/** @param {number} value @param {Point} limits @returns {number} 0 at the lower limit or below, 1 at the upper or above */
-export function shareOf(value, [low, high]) {
-  return high > low ? Math.min(1, Math.max(0, (value - low) / (high - low))) : 0.5;
+/**
+ * The step of a voltage on a scale about the nominal one: as many steps below it as above, to the farther limit.
+ * @param {number} value @param {Limits} limits @returns {number} from 0, and below `2 * STEPS`
+ */
+export function stepOf(value, limits) {
+  const far = (value - 1) / halfOf(limits), step = STEPS + Math.floor(STEPS * far + 1e-9);
+  return Math.min(2 * STEPS - 1, Math.max(0, step));
+}
+
+/** @param {Limits} limits @returns {number[]} p.u., where one step ends and the next begins, with both ends */
+export function edgesOf(limits) {
+  return Array.from({ length: 2 * STEPS + 1 }, (_, k) => 1 + (halfOf(limits) * (k - STEPS)) / STEPS);
+}
+
+/** @param {Limits} limits @returns {number} p.u. from the nominal voltage to the farther limit */
+function halfOf({ lowest_vm_pu: low, highest_vm_pu: high }) {
+  return Math.max(1 - low, high - 1) || 1;
+}
+
+/**
+ * The times that a chart shows; where there is but one uPlot would show years.
+ * @param {number[]} times @param {Range} range @returns {Point}
+ */
+export function rangeOf(times, { length, end }) {
+  const first = times[0] ?? 0, last = times.at(-1) ?? first;
+  if (!Number.isFinite(length)) return last > first ? [first, last] : [first - MOMENT_S, first + MOMENT_S];
+  const to = end ?? last;
+  return [to - length, to];
 }
 
 /**

@@ -1,9 +1,14 @@
 /** The page: takes what the server sends, and shows it. */
 
+import { Alarms } from "./alarms.js";
+import { CauseBanner } from "./cause.js";
 import { Profile } from "./charts.js";
+import { csvOf, keep } from "./csv.js";
+import { Events } from "./events.js";
 import { Feeder } from "./feeder.js";
 import { byId, clock, nextPicture, when } from "./format.js";
-import { Glance } from "./glance.js";
+import { findWorst, Glance } from "./glance.js";
+import { Histories } from "./histories.js";
 import { findDeadLinks } from "./links.js";
 import { Playback } from "./playback.js";
 import { Selected } from "./selected.js";
@@ -26,7 +31,9 @@ let heardAt = 0;
 const feeder = new Feeder(/** @type {HTMLCanvasElement} */ (byId("drawing")), /** @type {HTMLCanvasElement} */ (byId("print")), choose);
 const glance = new Glance(choose);
 const tables = new Tables(choose, ask, showAgain);
-const selected = new Selected(ask);
+const selected = new Selected(ask), histories = new Histories(ask);
+const banner = new CauseBanner(), alarms = new Alarms(), events = new Events();
+let isChosen = false; // by a person; until then the worst is selected
 
 /** @param {string} path @returns {Promise<any>} */
 async function ask(path) {
@@ -37,11 +44,25 @@ async function ask(path) {
 
 /** @param {Choice} wanted */
 function choose(wanted) {
-  tables.choice = wanted;
-  selected.choose(wanted);
-  feeder.mark(wanted);
+  isChosen = true;
+  select(wanted);
   if (moment) selected.show(moment, grid);
   showAgain();
+}
+
+/** @param {Choice} wanted */
+function select(wanted) {
+  tables.choice = wanted;
+  selected.choose(wanted);
+  histories.choose(wanted);
+  feeder.mark(wanted);
+  byId("selected-title").textContent = isChosen ? "Selected" : "Selected: the worst";
+}
+
+/** Until somebody chooses. @param {Moment} found */
+function selectWorst(found) {
+  const worst = isChosen ? null : findWorst(found);
+  if (worst && (worst.kind !== tables.choice?.kind || worst.id !== tables.choice.id)) select(worst);
 }
 
 /** What is shown, with what has been chosen since. */
@@ -58,7 +79,6 @@ async function takeGrid(found) {
   profile?.destroy();
   profile = grid.known ? new Profile(grid) : null;
   byId("profile-section").hidden = !grid.known;
-  byId("scale").textContent = `${grid.limits[0]} to ${grid.limits[1]} p.u.`;
 }
 
 /**
@@ -86,7 +106,12 @@ async function take(found) {
 /** Part after part, so that nobody who types or clicks waits for all of them. @param {Moment} found */
 async function show(found) {
   moment = found;
-  for (const part of [showStatus, () => glance.show(found, grid), () => feeder.show(found), () => selected.show(found, grid), () => profile?.show(found), () => tables.show(found)]) {
+  selectWorst(found);
+  const parts = [
+    showStatus, () => alarms.show(found), () => glance.show(found, grid), () => feeder.show(found), () => selected.show(found, grid),
+    () => histories.take(found), () => profile?.show(found), () => tables.show(found), () => events.show(found),
+  ];
+  for (const part of parts) {
     await part();
     await nextPicture();
   }
@@ -107,6 +132,7 @@ function showStatus() {
   const status = byId("status");
   status.className = lost ? "lost" : "";
   if (status.textContent !== text) status.textContent = text;
+  banner.show(moment, lost ? moment.time : null);
   const dead = findDeadLinks(moment).map((link) => `; ${link.text}`).join("");
   feeder.canvas.setAttribute("aria-label", `The feeder with ${grid.buses.id.length} buses; ${areas.length} areas: ${words}${dead}. The tables below have the same.`);
 }
@@ -114,7 +140,7 @@ function showStatus() {
 /** Charts in the colours that hold now. */
 function repaint() {
   profile?.repaint();
-  selected.repaint();
+  histories.repaint();
 }
 
 /** Paper is light, whatever the screen is. @param {boolean} isPrinting */
@@ -160,6 +186,9 @@ byId("what").addEventListener("input", () => {
     option.value = name;
     return option;
   }));
+});
+byId("events-csv").addEventListener("click", () => {
+  if (moment) keep("events.csv", csvOf(["time", "area", "kind", "text"], events.pick(moment).map(({ time, area, kind, text }) => [time, area, kind, text])));
 });
 byId("nearer").addEventListener("click", () => feeder.scale(ZOOM));
 byId("farther").addEventListener("click", () => feeder.scale(1 / ZOOM));

@@ -1,20 +1,22 @@
 /** Paints the feeder: areas as regions, branches by loading, buses by voltage, dead links, messages. */
 
+import { PASSING, placesOf } from "./cause.js";
 import { entryOf } from "./format.js";
-import { findShapes, keepApart, middle, nearest, placeBuses, shareOf, usualLength } from "./layout.js";
+import { findShapes, keepApart, middle, nearest, placeBuses, stepOf, usualLength } from "./layout.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Painting} Painting @typedef {import("./types.js").Palette} Palette */
+/** @typedef {import("./types.js").Cause} Cause */
 /** @typedef {import("./layout.js").Shape} Shape @typedef {import("./layout.js").Point} Point */
 /** @typedef {CanvasRenderingContext2D | OffscreenCanvasRenderingContext2D} Context */
 /** @typedef {{row: Map<number, number>, shapes: Shape[]}} Structure what of a grid is found once */
 /** @typedef {Painting & Structure & {context: Context, at: Point[], width: number, height: number, spacing: number}} Canvas */
 
-const FULL_LOADING = 100; // percent
 const MOST_NUMBERED = 150; // buses on the canvas that get their numbers
 const SHADE_WIDTH = 24; // pixels of an area's shade, at most
 const LEAST_RINGED = 3; // pixels of a bus; smaller ones are squares without a ring
 const LABEL = 13; // pixels, height
 const LONGEST_LABEL = 40;
+const LONGEST_FLAG = 60; // characters
 const DOT = 5; // pixels of a message
 const WAY_GAP = 27; // pixels beside the middles of areas: buses and their numbers stay legible
 const WAY_WIDTH = 13; // pixels between two messages on one way
@@ -35,7 +37,7 @@ export function paintFeeder(canvas, painting, structure) {
   const at = placeBuses(painting.grid, painting.view);
   const spacing = usualLength(at, structure.shapes.flatMap((shape) => shape.segments));
   const surface = { ...painting, ...structure, context, at, width, height, spacing };
-  for (const paint of [paintAreas, paintBranches, paintBuses, paintNames, paintLinks, paintMessages]) paint(surface);
+  for (const paint of [paintAreas, paintBranches, paintBuses, paintNames, paintLinks, paintMessages, paintCause]) paint(surface);
 }
 
 /** On a seam of paper, so that lines below it do not cross it out. @param {Canvas} canvas @param {string} text @param {number} x @param {number} y @param {string} ink */
@@ -84,7 +86,8 @@ function paintNames(canvas) {
   const { context, shapes, at, moment, width } = canvas;
   context.font = `600 ${LABEL - 1}px system-ui, sans-serif`;
   context.textAlign = "left";
-  const labels = shapes.filter((shape) => shape.rows.length).map((shape) => {
+  const flagged = new Set(moment?.cause && placesOf(moment.cause)[0]?.[0] === "area" ? moment.cause.areas.slice(0, 1) : []); // the flag of the cause says more
+  const labels = shapes.filter((shape) => shape.rows.length && !flagged.has(shape.name)).map((shape) => {
     const quality = (moment && entryOf(moment.qualities, shape.name)) ?? "none", isGood = quality === "good";
     const text = (isGood ? shape.name : `${shape.name}: ${quality}`).slice(0, LONGEST_LABEL);
     const wide = context.measureText(text).width, [left, top] = at[nearest(at, shape.rows, middle(at, shape.rows))];
@@ -100,14 +103,15 @@ function paintNames(canvas) {
 
 /** @param {Canvas} canvas */
 function paintBranches({ context, grid, moment, choice, at, row, palette }) {
-  const { branches } = grid, loading = moment?.loading ?? [];
+  const { branches } = grid, loading = moment?.loading ?? [], most = grid.operating_limits.most_loading_percent;
+  const named = new Set(moment?.cause?.branches);
   /** @type {Map<string, [Point, Point][]>} */ const alike = new Map();
   branches.id.forEach((id, k) => {
     const from = row.get(branches.from_bus[k]), to = row.get(branches.to_bus[k]);
     if (from === undefined || to === undefined) return;
-    const percent = Number(loading[k] ?? 0), isChosen = choice?.kind === "branch" && choice.id === id;
-    const wide = isChosen ? 5 : Math.round(2 * (1.5 + 2.5 * Math.min(1, percent / FULL_LOADING))) / 2;
-    const ink = isChosen ? "--mark" : percent > FULL_LOADING ? "--bad" : "--faint";
+    const isFresh = moment?.freshBranches[k] ?? false, percent = isFresh ? Number(loading[k] ?? 0) : 0, isChosen = choice?.kind === "branch" && choice.id === id;
+    const wide = named.has(id) ? 7 : isChosen ? 5 : Math.round(2 * (1.5 + 2.5 * Math.min(1, percent / most))) / 2;
+    const ink = percent > most || named.has(id) ? "--bad" : isChosen ? "--mark" : isFresh ? "--faint" : "--line";
     const style = `${ink} ${wide} ${branches.in_service[k] ? 0 : 4}`;
     const found = alike.get(style);
     if (found) found.push([at[from], at[to]]);
@@ -133,18 +137,22 @@ function paintBuses(canvas) {
   const { context, grid, at, palette, width, height } = canvas, values = voltagesOf(canvas);
   const n = grid.buses.id.length, size = n > 1500 ? 2 : n > 300 ? 3.5 : 5;
   const seen = at.flatMap(([x, y], k) => (x > -9 && y > -9 && x < width + 9 && y < height + 9 ? [k] : []));
-  const [low, high] = grid.limits, sideOf = (/** @type {number} */ k) => Number((values[k] ?? low) > high) - Number((values[k] ?? high) < low);
-  const colours = [...palette.voltages, palette.colours["--line"]]; // the last where it is not known
+  const { lowest_vm_pu: low, highest_vm_pu: high } = grid.operating_limits;
+  const sideOf = (/** @type {number} */ k) => Number((values[k] ?? low) > high) - Number((values[k] ?? high) < low);
+  const colours = [...palette.voltages, palette.colours["--paper"]]; // hollow where none is known now
   /** @type {number[][]} */ const steps = colours.map(() => []); // buses of one step are painted at once
-  for (const k of seen) if (!sideOf(k)) steps[stepOf(values[k], grid.limits, palette.voltages.length)].push(k);
+  for (const k of seen) {
+    const value = values[k];
+    if (!sideOf(k)) steps[value === null ? palette.voltages.length : stepOf(value, grid.operating_limits)].push(k);
+  }
   context.strokeStyle = palette.colours["--faint"];
-  context.lineWidth = 0.75;
   for (const [step, rows] of steps.entries()) {
     context.fillStyle = colours[step];
+    context.lineWidth = step < palette.voltages.length ? 0.75 : 1.5;
     context.beginPath();
     for (const k of rows) traceBus(context, at[k], size);
     context.fill();
-    if (size >= LEAST_RINGED) context.stroke();
+    if (size >= LEAST_RINGED || step === palette.voltages.length) context.stroke();
   }
   paintRings(canvas, seen, size);
   paintOutside(canvas, seen.map((k) => [k, sideOf(k)]), size);
@@ -159,19 +167,14 @@ function paintBuses(canvas) {
   for (const { text, x, y } of keepApart(numbers, boxOf)) write(canvas, text, x, y, "--ink");
 }
 
-/** @param {Canvas} canvas @returns {(number | null)[]} p.u., of each bus of the grid; null if it is not known */
+/** @param {Canvas} canvas @returns {(number | null)[]} p.u., of each bus of the grid; null if no value of now is known */
 function voltagesOf({ grid, moment, row }) {
   /** @type {(number | null)[]} */ const values = grid.buses.id.map(() => null);
   moment?.bus.forEach((bus, k) => {
     const place = row.get(bus);
-    if (place !== undefined) values[place] = moment.vm[k] ?? null;
+    if (place !== undefined && moment.fresh[k]) values[place] = moment.vm[k] ?? null;
   });
   return values;
-}
-
-/** @param {number | null} value @param {Point} limits @param {number} steps @returns {number} of as many; `steps` if it is not known */
-function stepOf(value, limits, steps) {
-  return value === null ? steps : Math.round(shareOf(value, limits) * (steps - 1));
 }
 
 /** @param {Context} context @param {Point} point @param {number} size */
@@ -281,4 +284,50 @@ function paintMessages(canvas) {
     labels.push({ text, x: x + DOT + 3, y: y + 4, width: context.measureText(text).width, height: LABEL - 2 });
   }
   for (const { text, x, y } of keepApart(labels, (box) => box)) write(canvas, text, x, y, "--ink");
+}
+
+/** The place of the first cause: its buses in bold rings, and a flag there that says it. @param {Canvas} canvas */
+function paintCause(canvas) {
+  const { context, moment, at, palette, width } = canvas, cause = moment?.cause;
+  if (!cause || cause.kind === PASSING) return;
+  const rows = findPlaces(canvas, cause);
+  if (!rows.length) return;
+  const isAtBuses = placesOf(cause)[0][0] !== "area", [x, y] = isAtBuses && rows.length > 2 ? at[rows[0]] : middle(at, rows);
+  context.strokeStyle = palette.colours["--bad"];
+  context.lineWidth = 4;
+  context.beginPath();
+  if (isAtBuses) for (const place of rows) traceBus(context, at[place], LEAST_RINGED + 9);
+  context.stroke();
+  const text = shorten(cause.what);
+  context.font = `700 ${LABEL}px system-ui, sans-serif`;
+  context.textAlign = "left";
+  const wide = context.measureText(text).width + 12, left = Math.max(2, Math.min(width - wide - 2, x - wide / 2)), isBelow = y < 64, top = isBelow ? y + 26 : y - 52;
+  context.fillStyle = palette.colours["--bad"];
+  context.beginPath();
+  context.moveTo(x, isBelow ? y + 8 : y - 8);
+  context.lineTo(Math.max(left, x - 7), isBelow ? top : top + 22);
+  context.lineTo(Math.min(left + wide, x + 7), isBelow ? top : top + 22);
+  context.closePath();
+  context.rect(left, top, wide, 22);
+  context.fill();
+  context.fillStyle = palette.colours["--paper"];
+  context.fillText(text, left + 6, top + 15.5);
+}
+
+/** Buses, ends of branches or middles of areas where a cause is. @param {Canvas} canvas @param {Cause} cause @returns {number[]} their rows */
+function findPlaces({ grid, shapes, at, row }, cause) {
+  const rowOf = (/** @type {number} */ bus) => row.get(bus) ?? [];
+  for (const [kind, ids] of placesOf(cause)) {
+    const named = new Set(ids);
+    const rows = kind === "bus" ? cause.buses.flatMap(rowOf)
+      : kind === "branch" ? grid.branches.id.flatMap((id, k) => (named.has(id) ? [grid.branches.from_bus[k], grid.branches.to_bus[k]] : [])).flatMap(rowOf)
+      : kind === "area" ? shapes.filter((shape) => named.has(shape.name) && shape.rows.length).map((shape) => nearest(at, shape.rows, middle(at, shape.rows))) : [];
+    if (rows.length) return rows;
+  }
+  return [];
+}
+
+/** @param {string} text @returns {string} */
+function shorten(text) {
+  return text.length > LONGEST_FLAG ? `${text.slice(0, LONGEST_FLAG - 1)}…` : text;
 }

@@ -1,21 +1,21 @@
-/** What is chosen: all that is known of it at the moment that is shown, and its past. */
+/** What is chosen: all that is known of it at the moment that is shown, each number with its quality unless it is good. */
 
-import { Past } from "./charts.js";
-import { byId, element, entryOf, labelOf, number, unitOf } from "./format.js";
+import { byId, element, entryOf, fixed, labelOf, number, qualityClass, unitOf } from "./format.js";
 import { countReceived } from "./links.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Moment} Moment */
 /** @typedef {import("./types.js").Choice} Choice @typedef {import("./types.js").Rows} Rows */
-/** @typedef {[string, string]} Fact its name and what it is */
+/** @typedef {[string, string, string?]} Fact its name, what it is, and the class of its colour */
 
-const PAST_MS = 2000; // between two times that the past is asked for
+const ABOUT = ["id", "meter", "quality", "value_age_s", "fresh"]; // columns that are no values
 
 /** @param {Moment} moment @param {string} id @returns {Fact[]} */
 function describeArea(moment, id) {
   const area = entryOf(moment.view.areas, id);
   if (!area) return [["area", id], ["quality", "not there"]];
   return [
-    ["area", id], ["quality", area.quality], ["why", area.notes.join("; ") || "nothing to remark"], ["it says", area.said_quality],
+    ["area", id], ["quality", area.quality, qualityClass(area.quality)], ["why", area.notes.join("; ") || "nothing to remark"], ["it says", area.said_quality],
+    ["values", ageOf(area.fresh, area.value_age_s), area.fresh ? "" : "bad"],
     ["receives from", countReceived(moment.links).get(id) ?? "-"],
     ["J", `${number(area.objective, 4)} with ${area.degrees_of_freedom} degrees of freedom`], ["oldest reading", `${number(area.oldest_reading_s, 3)} s`],
     ["removed", area.removed.join(", ") || "none"], ["off", area.meters_off.join(", ") || "none"],
@@ -32,19 +32,34 @@ function describePlace(grid, { kind, id }) {
   return [...given, ["areas", grid.buses.areas[place].join(", ")]];
 }
 
-/** @param {string} name @param {number | string | null} value @returns {Fact} */
-function describeValue(name, value) {
-  return [labelOf(name), name === "unit" ? unitOf(value) : typeof value === "string" ? value : number(value, 6)];
+/** @param {unknown} fresh @param {unknown} age s, null where there is no value @returns {string} */
+export function ageOf(fresh, age) {
+  if (typeof age !== "number") return "none";
+  return fresh ? `${number(age, 3)} s old` : `not fresh: the last ones, ${number(age, 4)} s old`;
+}
+
+/** @param {import("./types.js").Columns} row of one thing @returns {Fact[]} its values; each says so where it is not good */
+export function describeRow(row) {
+  const { quality: [quality] = [], fresh: [fresh] = [], value_age_s: [age] = [], unit: [unit] = [] } = row;
+  const doubt = quality === undefined || quality === "good" ? "" : fresh ? ` (${quality})` : ` (${quality}, ${ageOf(true, age)})`;
+  const isOld = fresh === false;
+  /** @type {Fact[]} */ const about = quality === undefined ? [] : [["quality", String(quality), qualityClass(String(quality))], ["values", ageOf(fresh, age), isOld ? "bad" : ""]];
+  const names = Object.keys(row).filter((name) => !ABOUT.includes(name) && row[name].length && row[name][0] !== "");
+  return [...about, ...names.map((name) => {
+    const value = row[name][0], isReading = ["reading", "estimate", "sigma"].includes(name);
+    if (name === "unit") return /** @type {Fact} */ ([labelOf(name), unitOf(value)]);
+    if (typeof value === "string") return /** @type {Fact} */ ([labelOf(name), value]);
+    const text = fixed(value, isReading ? String(unit ?? "") : name);
+    return /** @type {Fact} */ ([labelOf(name), text === "-" ? text : text + doubt, isOld ? "old" : ""]);
+  })];
 }
 
 export class Selected {
   /** @param {(path: string) => Promise<any>} ask */
   constructor(ask) {
     this.ask = ask;
-    this.past = new Past();
     /** @type {Choice | null} */ this.choice = null;
     /** @type {Rows | null} */ this.found = null; // of the choice
-    this.pastAt = -Infinity;
     /** @type {[Moment, Grid] | null} */ this.shown = null;
     /** @type {Promise<void> | null} */ this.asking = null;
   }
@@ -53,8 +68,6 @@ export class Selected {
   choose(choice) {
     this.choice = choice;
     this.found = null;
-    this.pastAt = -Infinity;
-    this.past.clear();
   }
 
   /** @param {Moment} moment @param {Grid} grid */
@@ -64,7 +77,6 @@ export class Selected {
     if (!this.choice) return;
     this.shown = [moment, grid];
     this.asking ??= this.askForRow().finally(() => (this.asking = null));
-    if (performance.now() - this.pastAt >= PAST_MS) this.askForPast(this.choice, moment.mode === "live");
   }
 
   /** @param {Moment} moment @param {Grid} grid */
@@ -73,10 +85,9 @@ export class Selected {
     /** @type {Fact[]} */ let facts = [];
     if (choice?.kind === "area") facts = describeArea(moment, choice.id);
     else if (choice) {
-      const known = Object.entries(found?.rows ?? {}).filter(([name, column]) => name !== "id" && name !== "meter" && column.length);
-      facts = [[choice.kind, choice.id], ...describePlace(grid, choice), ...known.map(([name, column]) => describeValue(name, column[0]))];
+      facts = [[choice.kind, choice.id], ...describePlace(grid, choice), ...(found?.total ? describeRow(found.rows) : [])];
     }
-    byId("facts").replaceChildren(...facts.flatMap(([name, value]) => [element("dt", name), element("dd", value)]));
+    byId("facts").replaceChildren(...facts.flatMap(([name, value, look]) => [element("dt", name), element("dd", value, look)]));
   }
 
   /** One question after the other, the last one about what is shown then: a slow answer makes no queue. */
@@ -90,26 +101,5 @@ export class Selected {
       this.found = found;
       this.write(moment, grid);
     }
-  }
-
-  /** @param {Choice} choice @param {boolean} ofDay */
-  async askForPast(choice, ofDay) {
-    this.pastAt = performance.now();
-    const { kind, id } = choice;
-    try {
-      const found = await this.ask(`/api/history?kind=${kind}&id=${encodeURIComponent(id)}`);
-      if (choice !== this.choice) return;
-      this.past.show(kind, id, found, ofDay);
-      if (ofDay) return;
-      this.pastAt = Infinity; // what is over does not change
-      if (!found.complete) setTimeout(() => choice === this.choice && this.askForPast(choice, ofDay), PAST_MS);
-    } catch {
-      this.past.clear();
-    }
-  }
-
-  /** In the colours that hold now. */
-  repaint() {
-    this.past.repaint();
   }
 }

@@ -1,14 +1,17 @@
-/** Areas, meters, messages and events as tables; rows are reused, so that nothing flickers and focus stays. */
+/** Areas, meters and messages as tables; rows are reused, so that nothing flickers and focus stays. */
 
-import { byId, element, nextPicture, number, qualityClass, unitOf, when } from "./format.js";
+import { csvOf, csvOfColumns, keep } from "./csv.js";
+import { byId, element, entryOf, fixed, nextPicture, number, qualityClass, unitOf, when } from "./format.js";
 import { countReceived } from "./links.js";
+import { ageOf } from "./selected.js";
 
 /** @typedef {import("./types.js").AreaView} AreaView @typedef {import("./types.js").Moment} Moment @typedef {import("./types.js").Choice} Choice */
 
 const FINE = ["used", "critical", "not received"];
 const MOST_METERS = 100;
-const MOST_EVENTS = 60;
 const MOST_AREAS = 200;
+/** @type {Record<string, string>} */ const CSV_OF = { meter: "meters-csv", bus: "buses-csv", branch: "branches-csv" }; // kind of row -> its button
+const MOST_ROWS = 1000; // of one request
 const SLICE = 25; // rows that are laid out at once
 
 /**
@@ -37,18 +40,20 @@ export class Rows {
     /** @type {HTMLElement} */ (table.querySelector("thead")).append(head);
     this.body = /** @type {HTMLElement} */ (table.querySelector("tbody"));
     this.columns = columns;
+    /** @type {string[][]} */ this.shown = [];
   }
 
   /**
-   * @param {{cells: string[], className?: string, choose?: () => void, chosen?: boolean}[]} rows
-   * whose first cell is a button where a row can be chosen
+   * @param {{cells: string[], className?: string, choose?: () => void, chosen?: boolean, old?: boolean}[]} rows
+   * whose first cell is a button where a row can be chosen; `old`: its values are not of now
    */
   async show(rows) {
+    this.shown = rows.map(({ cells }) => cells);
     while (this.body.children.length > rows.length) this.body.lastElementChild?.remove();
     for (const [k, row] of rows.entries()) {
       if (k && k % SLICE === 0) await nextPicture();
       const line = /** @type {HTMLTableRowElement} */ (this.body.children[k] ?? this.add());
-      line.className = row.chosen ? "chosen" : "";
+      line.className = `${row.chosen ? "chosen" : ""} ${row.old ? "old" : ""}`.trim();
       row.cells.forEach((text, c) => {
         const cell = line.cells[c];
         if (c === 0 && row.choose) {
@@ -63,16 +68,26 @@ export class Rows {
         } else if (cell.textContent !== text) {
           cell.textContent = text;
         }
-        if (c === 1 && row.className !== undefined && cell.className !== row.className) cell.className = row.className;
+        const look = `${this.columns[c].number ? "number" : ""} ${c === 1 ? row.className ?? "" : ""} ${text === "-" || text === "" ? "empty" : ""}`.trim();
+        if (cell.className !== look) cell.className = look;
       });
     }
   }
 
   add() {
     const line = document.createElement("tr");
-    for (const column of this.columns) line.append(element("td", "", column.number ? "number" : ""));
+    for (const column of this.columns) {
+      const cell = element("td");
+      cell.dataset.title = column.title; // where a row is a card
+      line.append(cell);
+    }
     this.body.append(line);
     return line;
+  }
+
+  /** @returns {string} as it is shown */
+  csv() {
+    return csvOf(this.columns.map(({ title }) => title), this.shown.map((cells) => cells.map((text) => (text === "-" ? "" : text))));
   }
 }
 
@@ -89,34 +104,39 @@ export class Tables {
       });
     }
     /** @type {Choice | null} */ this.choice = null;
-    this.events = "";
+    /** @type {Moment | null} */ this.moment = null;
     this.areas = new Rows("areas", "What each area says of its estimate, and why.", [
       { title: "Area" }, { title: "Quality" }, { title: "Why" }, { title: "Receives from" }, { title: "Voltage (p.u.)" },
-      { title: "Worst normalised residual" }, { title: "Age (s)", number: true }, { title: "Scan", number: true },
+      { title: "Worst normalised residual" }, { title: "Age (s)", number: true }, { title: "Readings of" },
       { title: "Exchanges", number: true }, { title: "Messages", number: true }, { title: "Lost", number: true },
     ]);
     this.meters = new Rows("meters", "Readings and estimates, the farthest off first.", [
       { title: "Meter" }, { title: "Status" }, { title: "Area" }, { title: "Reading", number: true },
-      { title: "Estimate", number: true }, { title: "Unit" }, { title: "Normalised residual", number: true },
+      { title: "Estimate", number: true }, { title: "Unit" }, { title: "Quality" }, { title: "Normalised residual", number: true },
       { title: "Age (s)", number: true },
     ]);
     this.messages = new Rows("messages", "Messages on their way at this moment.", [
       { title: "From" }, { title: "To" }, { title: "Kind" }, { title: "Sent (s)", number: true }, { title: "What became of it" },
     ]);
+    for (const kind of ["meter", "bus", "branch"]) byId(CSV_OF[kind]).addEventListener("click", () => this.keepAll(kind));
+    byId("areas-csv").addEventListener("click", () => keep("areas.csv", this.areas.csv()));
+    byId("messages-csv").addEventListener("click", () => keep("messages.csv", this.messages.csv()));
   }
 
   /** @param {Moment} moment */
   async show(moment) {
+    this.moment = moment;
     const is = (/** @type {string} */ kind, /** @type {string} */ id) => this.choice?.kind === kind && this.choice.id === id;
     const areas = Object.entries(moment.view.areas), received = countReceived(moment.links);
     await this.areas.show(chooseAreas(areas).map(([name, area]) => ({
       cells: [
         name, area.quality, area.notes.join("; "), received.get(name) ?? "-",
-        area.lowest_vm && area.highest_vm ? `${number(area.lowest_vm.value, 4)} to ${number(area.highest_vm.value, 4)}` : "-",
-        area.worst_meter ? `${area.worst_meter.at} ${number(area.worst_meter.value, 2)}` : "-",
-        number(area.age_s, 3), String(area.scan), String(area.exchanges), String(area.messages), String(area.lost),
+        area.lowest_vm && area.highest_vm ? `${fixed(area.lowest_vm.value, "vm_pu")} to ${fixed(area.highest_vm.value, "vm_pu")}` : "-",
+        area.worst_meter ? `${area.worst_meter.at} ${fixed(area.worst_meter.value, "normalised_residual")}` : "-",
+        fixed(area.value_age_s, "age_s"), area.value_age_s === null ? "-" : when(moment, moment.at - area.value_age_s), String(area.exchanges), String(area.messages), String(area.lost),
       ],
       className: qualityClass(area.quality),
+      old: !area.fresh,
       choose: () => this.choose({ kind: "area", id: name }),
       chosen: is("area", name),
     })));
@@ -126,17 +146,6 @@ export class Tables {
       cells: [m.from, m.to, m.kind, number(m.sent, 6), m.lost ? "lost" : m.arrived === null ? "on its way" : `arrived at ${number(m.arrived, 6)} s`],
     })));
     byId("messages-section").hidden = !moment.has_messages;
-    this.showEvents(moment);
-  }
-
-  /** The list is left alone while nothing new is in it, so that who reads or scrolls it can. @param {Moment} moment */
-  showEvents(moment) {
-    const newest = moment.events.slice(-MOST_EVENTS).reverse();
-    const lines = newest.map((event) => `${when(moment, event.time)} ${event.area} ${event.text}`);
-    const all = lines.join("\n");
-    if (all === this.events) return;
-    this.events = all;
-    byId("events").replaceChildren(...lines.map((line) => element("li", line)));
   }
 
   /** @param {Moment} moment @param {(kind: string, id: string) => boolean} is */
@@ -150,16 +159,34 @@ export class Tables {
     byId("meters-pages").hidden = count <= MOST_METERS;
     /** @type {HTMLButtonElement} */ (byId("meters-back")).disabled = this.first === 0;
     /** @type {HTMLButtonElement} */ (byId("meters-on")).disabled = this.first + shown >= count;
-    const off = /** @type {(number | null)[]} */ (meters.normalised_residual ?? []);
-    await this.meters.show((meters.meter ?? []).map((meter, k) => ({
-      cells: [
-        String(meter), String(meters.status[k]), String(meters.area[k]), number(/** @type {number} */ (meters.reading[k])),
-        number(/** @type {number} */ (meters.estimate[k])), unitOf(meters.unit?.[k]), number(off[k], 3), number(/** @type {number} */ (meters.age_s[k]), 3),
-      ],
-      className: FINE.includes(String(meters.status[k])) ? "" : "bad",
-      choose: () => this.choose({ kind: "meter", id: String(meter) }),
-      chosen: is("meter", String(meter)),
-    })));
+    await this.meters.show((meters.meter ?? []).map((meter, k) => {
+      const unit = String(meters.unit?.[k] ?? ""), area = entryOf(moment.view.areas, String(meters.area[k]));
+      const isOld = meters.fresh?.[k] === false, quality = isOld && area ? `${area.quality}, ${ageOf(true, area.value_age_s)}` : area?.quality ?? "-";
+      return {
+        cells: [
+          String(meter), String(meters.status[k]), String(meters.area[k]), fixed(meters.reading[k], unit), fixed(meters.estimate[k], unit),
+          unitOf(meters.unit?.[k]), quality, fixed(meters.normalised_residual?.[k], "normalised_residual"), fixed(meters.age_s[k], "age_s"),
+        ],
+        className: FINE.includes(String(meters.status[k])) ? "" : "bad",
+        choose: () => this.choose({ kind: "meter", id: String(meter) }),
+        chosen: is("meter", String(meter)),
+        old: isOld,
+      };
+    }));
+  }
+
+  /** All rows of a kind, with all columns, as a file. @param {string} kind */
+  async keepAll(kind) {
+    if (!this.moment) return;
+    const frame = this.moment.mode === "playback" ? `&frame=${this.moment.number}` : "";
+    /** @type {import("./types.js").Columns} */ let all = {};
+    for (let first = 0, total = 1; first < total; first += MOST_ROWS) {
+      const found = await this.ask(`/api/rows?kind=${kind}&first=${first}&count=${MOST_ROWS}${frame}`).catch(() => null);
+      if (!found) return;
+      total = found.total;
+      all = first ? Object.fromEntries(Object.entries(all).map(([name, column]) => [name, [...column, ...(found.rows[name] ?? [])]])) : found.rows;
+    }
+    keep(`${CSV_OF[kind].replace("-csv", "")}.csv`, csvOfColumns(all));
   }
 
   /** The worst come with the moment, the others are asked for. @param {Moment} moment @returns {Promise<import("./types.js").Columns>} */

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from coordinator.show.web.moment import Events, find_links
 from coordinator.watch.observe.view import AreaView, View
 
@@ -63,3 +65,12 @@ def test_of_an_area_that_is_gone_no_link_is_reported_to_stop():
     assert kinds_of(events) == []
     take(events, 1.0, whole)
     assert kinds_of(events) == [("area1", "receives from area2 again"), ("area2", "receives from area1 again")]
+
+
+def test_the_time_between_scans_is_that_of_the_last_two():
+    events, found = Events(), []
+    for at, scan in ((0.0, 7), (1.0, 7), (2.5, 8), (2.6, 8), (8.5, 11)):
+        view = seen({"area1": 0.1, "area2": 0.1})
+        take(events, at, replace(view, areas=tuple(replace(area, scan=scan) for area in view.areas)))
+        found.append(events.scan_s)
+    assert found == [None, None, 2.5, 2.5, 2.0]

@@ -1,0 +1,103 @@
+/** Causes that need a person: what is wrong now, and what is over but has not been acknowledged; kept in this browser. */
+
+import { PASSING } from "./cause.js";
+import { byId, element, when } from "./format.js";
+
+/** @typedef {import("./types.js").Moment} Moment @typedef {import("./types.js").Cause} Cause */
+/** @typedef {{key: string, what: string, action: string, since: number|null, over: number|null, acknowledged: boolean}} Alarm */
+
+const MOST_ALARMS = 200;
+const MOST_SHOWN = 30;
+const LEAST_S = 2; // what is over sooner is no alarm any more
+const PLACE = "alarms"; // in what the browser keeps
+
+/** @param {Cause} cause @returns {string} the same for a cause as long as it lasts, whatever figures its words have */
+function keyOf({ kind, areas, buses, branches, meters }) {
+  return JSON.stringify([kind, areas, buses, branches, meters]);
+}
+
+/**
+ * The alarms after a moment. One that is over goes if it is acknowledged, or has lasted less than `least` seconds; one
+ * that comes back is new.
+ * @param {Alarm[]} before @param {Cause[]} causes @param {number} at @param {number} least @returns {Alarm[]} the newest first
+ */
+export function updateAlarms(before, causes, at, least) {
+  const now = new Map(causes.filter(({ kind }) => kind !== PASSING).map((cause) => [keyOf(cause), cause]));
+  const kept = before.flatMap((alarm) => {
+    const cause = now.get(alarm.key);
+    if (cause && alarm.over === null) {
+      now.delete(alarm.key);
+      return [{ ...alarm, what: cause.what, action: cause.action }];
+    }
+    const over = alarm.over ?? at;
+    return alarm.acknowledged || over - (alarm.since ?? at) < least ? [] : [{ ...alarm, over }];
+  });
+  const fresh = [...now].map(([key, { what, action, since }]) => ({ key, what, action, since: since ?? at, over: null, acknowledged: false }));
+  return [...fresh, ...kept].slice(0, MOST_ALARMS);
+}
+
+/** What the browser keeps of the alarms of a run; it may refuse, and what it kept may be anything. @param {string} run @returns {Alarm[]} */
+function read(run) {
+  try {
+    const kept = JSON.parse(localStorage.getItem(PLACE) ?? "{}");
+    return kept.run === run ? kept.alarms.filter((/** @type {any} */ alarm) => typeof alarm.key === "string" && typeof alarm.what === "string") : [];
+  } catch {
+    return [];
+  }
+}
+
+export class Alarms {
+  constructor() {
+    this.list = byId("alarms");
+    /** @type {Alarm[]} */ this.alarms = [];
+    this.shown = "";
+    /** @type {Moment | null} */ this.moment = null;
+    byId("acknowledge-all").addEventListener("click", () => this.acknowledge(() => true));
+  }
+
+  /** Of a playback those of the moment only: its end is not now. @param {Moment} moment */
+  show(moment) {
+    this.moment = moment;
+    const isLive = moment.mode === "live", alarms = updateAlarms(isLive ? read(moment.view.run) : this.alarms, moment.causes ?? [], moment.at, Math.max(LEAST_S, moment.scan_s ?? 0));
+    this.write(isLive ? alarms : alarms.filter(({ over }) => over === null), moment);
+  }
+
+  /** @param {(alarm: Alarm) => boolean} isMeant */
+  acknowledge(isMeant) {
+    if (!this.moment) return;
+    const alarms = this.alarms.map((alarm) => (isMeant(alarm) ? { ...alarm, acknowledged: true } : alarm));
+    this.write(alarms.filter(({ acknowledged, over }) => !acknowledged || over === null), this.moment);
+  }
+
+  /** @param {Alarm[]} alarms @param {Moment} moment */
+  write(alarms, moment) {
+    this.alarms = alarms;
+    const all = JSON.stringify({ run: moment.view.run, alarms });
+    if (all === this.shown) return;
+    this.shown = all;
+    try {
+      if (moment.mode === "live") localStorage.setItem(PLACE, all);
+    } catch {} // full, or not allowed: they are kept until the page is left
+    const open = alarms.filter(({ acknowledged }) => !acknowledged).length;
+    byId("alarms-note").textContent = alarms.length ? `${open} not acknowledged.` : "None.";
+    byId("acknowledge-all").hidden = open === 0;
+    this.list.replaceChildren(...alarms.slice(0, MOST_SHOWN).map((alarm) => this.describe(alarm, moment)));
+  }
+
+  /** @param {Alarm} alarm @param {Moment} moment @returns {HTMLElement} */
+  describe({ key, what, since, over, acknowledged }, moment) {
+    const began = since === null ? "" : `${when(moment, since)} `, ended = over === null ? "" : `, over since ${when(moment, over)}`;
+    const line = element("li", "", over === null ? "bad" : "over"), text = element("span", `${began}${what}${ended}`);
+    line.append(text);
+    if (acknowledged) {
+      line.append(element("small", " acknowledged"));
+      return line;
+    }
+    const button = /** @type {HTMLButtonElement} */ (element("button", "Acknowledge"));
+    button.type = "button";
+    button.setAttribute("aria-label", `Acknowledge: ${what}`);
+    button.addEventListener("click", () => this.acknowledge((alarm) => alarm.key === key && alarm.over === over));
+    line.append(" ", button);
+    return line;
+  }
+}
