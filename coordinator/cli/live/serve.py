@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # the real imports stand in the command, so that every other 
 @command(INSPECT, serves=True, short_help="Show a running system, or a simulated run, as a page in a browser.")
 @optional_scenario_argument
 @click.option("--simulate", "is_simulated", is_flag=True, help="Run SCENARIO on the simulator, and play that back.")
-@click.option("--recording", type=click.Path(path_type=Path), help="Play back what `dsse record` has put there.")
+@click.option("--recording", type=click.Path(path_type=Path), help="Play what `dsse record` has put there, or results.")
 @set_option
 @click.option("--listen", default="127.0.0.1:8080", show_default=True, metavar="ADDR:PORT", help="Where; port 0: any.")
 @click.option("--tls-cert", type=click.Path(path_type=Path), help="Certificate (PEM), needed beyond loopback.")
@@ -66,6 +66,7 @@ def serve(
                dsse serve ieee33 --connect tcp/192.0.2.7:7447
                dsse serve ieee33-lossy --simulate
                dsse serve ieee33 --recording recordings/ieee33
+               dsse serve ieee33 --recording day
     """
     if is_simulated and scenario is None:
         raise click.UsageError("--simulate runs a scenario; name one")

@@ -53,7 +53,7 @@ def read_newest_messages(folder: Path, run: str, notes: list[str]) -> list[Timed
     for segment in reversed(list_segments(folder)):
         found = _read_segment(folder, segment, run, notes)
         kept = [*found, *kept]
-        newest = kept[_find_begin(kept) :]
+        newest = kept[find_begin(kept) :]
         if len(newest) < len(kept):
             kept = newest
             notes.append("the recording is long: its newest part is played")
@@ -73,7 +73,7 @@ def count_values(item: Update) -> int:
     return 0
 
 
-def _find_begin(updates: list[Timed]) -> int:
+def find_begin(updates: list[Timed]) -> int:
     """Index of the first update that is played."""
     values = 0
     for k in reversed(range(len(updates))):

@@ -19,6 +19,8 @@ from coordinator.show.web.sources import Frame
 from coordinator.watch.observe.grid_tables import GridTables, Tables, find_tables
 from coordinator.watch.recording.folder import read_about
 from coordinator.watch.replay.recorded_messages import Update, read_newest_messages
+from coordinator.watch.replay.result_messages import RUN, holds_results, read_result_messages
+from dsse_core.errors import InvalidInputError
 from scenarios.scenario import Scenario
 
 PATIENCE_S = 1.0  # wait of a request for a past that is not complete yet
@@ -172,14 +174,21 @@ def _describe(sent: Sent, at: float) -> dict[str, Any]:
 
 
 def play_recording(folder: Path, scenario: Scenario | None, notes: list[str]) -> PlaybackSource:
-    """The recording at ``folder`` as a source; the newest part of a long one. Lost and omitted parts go to ``notes``.
+    """The recording, or the tables of results, at ``folder`` as a source; the newest part of a long one. Lost and
+    omitted parts go to ``notes``.
 
     Raises:
-        InvalidInputError: ``folder`` is no recording, or nothing in it can be read, as without pyarrow where all of it
-            is Parquet.
+        InvalidInputError: ``folder`` is neither, or nothing in it can be read, as without pyarrow where all of it is
+            Parquet; tables of results without a scenario.
     """
-    run = read_about(folder).run
-    kept = read_newest_messages(folder, run, notes)
+    if holds_results(folder):
+        if scenario is None:
+            problem = "holds tables of results; name their scenario: dsse serve SCENARIO --recording FOLDER"
+            raise InvalidInputError(str(folder), [problem])
+        run, kept = RUN, read_result_messages(folder, scenario, notes)
+    else:
+        run = read_about(folder).run
+        kept = read_newest_messages(folder, run, notes)
     since = kept[0][0]
     remarks = [*dict.fromkeys(notes), *_find_lacking(item for _, item in kept)]
     play = Play(run=run, since=since, updates=[(at - since, item) for at, item in kept])
