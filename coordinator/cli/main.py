@@ -285,7 +285,7 @@ def estimate(
     from coordinator.lab.evaluation.scan_estimates import load_scans_of, with_one_scan
     from scenarios.scenario import load_scenario
 
-    loaded = load_scenario(scenario, changes=changes, whole=output.is_text or readings is not None)
+    loaded = load_scenario(scenario, changes=changes, whole=output.is_text)
     loaded = loaded if seed is None else replace(loaded, seed=seed)
     if readings is not None:
         scans = load_scans_of(loaded, readings)

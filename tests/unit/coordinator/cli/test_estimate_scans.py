@@ -121,6 +121,7 @@ def test_tables_of_many_scans_are_written_and_the_meters_are_readings_again(tmp_
     out = tmp_path / "out"
     assert dsse("estimate", "ieee33", "--readings", str(path), "--out", str(out), "--parquet")[0] == 0
     names = {"scans", "buses", "branches", "meters", "areas"}
+    assert len(table_of((out / "areas.csv").read_text())) == 2 * len(SCENARIO.partition.areas)
     assert {each.stem for each in out.glob("*.csv")} == {each.stem for each in out.glob("*.parquet")} == names
     again = dsse("estimate", "ieee33", "--readings", str(out / "meters.csv"), "--csv", "scans")[1]
     first, second = (table_of(text) for text in ((out / "scans.csv").read_text(), again))
