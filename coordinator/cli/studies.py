@@ -20,6 +20,7 @@ from coordinator.cli.terminal import (
     answer,
     changed,
     finish_run,
+    invite_to,
     json_option,
     notify,
     progress,
@@ -198,7 +199,8 @@ def compare(
             from coordinator.show.report.study_report import report_comparison
 
             report_comparison(out, loaded, rows, outcomes, formats, given_arguments())
-        (notify if as_json else show)(f"\nfiles: {printable(out)}")
+        report = "" if formats is None else f"\n{invite_to(out / 'report.html')}"
+        (notify if as_json else show)(f"\nfiles: {printable(out)}{report}")
 
 
 def _run_and_keep(
@@ -298,9 +300,9 @@ def sweep(
         finally:
             _report(plan, table, drawn, folder, formats)
     report = None if formats is None else folder / "report.html"
-    looked_at = "" if report is None else f", figure and settings in {report}"
+    looked_at = "" if report is None else f"\n{invite_to(report)}"
     content = {"table": table.path, "report": report, "rows": list(map(asdict, table.rows.values()))}
-    answer(as_json, content, printable(f"{len(table.rows)} runs in {table.path}{looked_at}"))
+    answer(as_json, content, printable(f"{len(table.rows)} runs in {table.path}") + looked_at)
 
 
 def _run_missing(plan: SweepPlan, table: SweepTable, jobs: int, quiet: bool, executor: Executor | None = None) -> None:

@@ -202,6 +202,11 @@ def next_run(scenario: Path) -> str:
     return f"next: {shlex.join([name_program(), 'run', str(scenario)])}"
 
 
+def invite_to(report: Path) -> str:
+    """A hint with the address at which a browser opens ``report``."""
+    return f"open {report.resolve().as_uri()}"
+
+
 def name_program() -> str:
     """The name by which a shell finds this command: ``dsse``, or the path as typed where PATH has not this one."""
     typed = sys.argv[0]
@@ -234,7 +239,7 @@ def finish_run(result: RunResult, formats: Sequence[str] | None, parquet: bool, 
         if (written := write_report(result, formats, given_arguments())).unwritten:
             return _report_unwritten(written)
     if report is not None and not as_json:
-        show(f"open {report.resolve().as_uri()}")
+        show(invite_to(report))
     return code
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # the real imports stand in the command, so that every other 
 @click.option("--simulate", "is_simulated", is_flag=True, help="Run SCENARIO on the simulator, and play that back.")
 @click.option("--recording", type=click.Path(path_type=Path), help="Play what `dsse record` has put there, or results.")
 @set_option
-@click.option("--listen", default="127.0.0.1:8080", show_default=True, metavar="ADDR:PORT", help="Where; port 0: any.")
+@click.option("--listen", default="127.0.0.1:8080", show_default=True, metavar="HOST:PORT", help="Where; port 0: any.")
 @click.option("--tls-cert", type=click.Path(path_type=Path), help="Certificate (PEM), needed beyond loopback.")
 @click.option("--tls-key", type=click.Path(path_type=Path), help="Its private key (PEM).")
 @click.option(

@@ -112,7 +112,7 @@ def make_plan(
         InvalidInputError: the scenario cannot be used, a key has an option of its own or is also in ``changes``, a key
             or a value is given twice, or the scenario rejects values; then it names them all, with the reasons.
     """
-    _check_axes(axes, changes)
+    _check_axes(axes, changes, links)
     base = choose_scenario(name_or_path, timeout_s=timeout_s, links=links, changes=changes)
     scenarios, problems = {}, []
     for values in itertools.product(*(axis.values for axis in axes)):
@@ -131,13 +131,15 @@ def make_plan(
     return SweepPlan(tuple(axis.keys for axis in axes), base, scenarios, tuple(strategies), seeds, links)
 
 
-def _check_axes(axes: Sequence[Axis], changes: Mapping[str, object]) -> None:
+def _check_axes(axes: Sequence[Axis], changes: Mapping[str, object], links: LinkChanges) -> None:
     keys = [key for axis in axes for key in axis.keys]
     problems = [
         f"{key} is varied by {option}; choose another key" for key, option in OPTION_OF_KEY.items() if key in keys
     ]
     problems += [f"{key} is varied twice; keep one" for key in dict.fromkeys(keys) if keys.count(key) > 1]
     problems += [f"{key} cannot be varied and set; give one of --vary and --set" for key in keys if key in changes]
+    fixed = {f"faults.{re.sub('_s$', '_ms', key)}" for key in links}
+    problems += [f"{key} cannot be varied beside the option that sets it for all links" for key in keys if key in fixed]
     for axis in axes:
         texts = list(map(text_of, axis.values))
         twice = [text for text in dict.fromkeys(texts) if texts.count(text) > 1]

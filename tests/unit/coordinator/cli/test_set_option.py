@@ -78,6 +78,8 @@ def test_no_command_takes_a_key_that_does_not_exist_or_a_value_that_does_not_fit
 def test_what_a_sweep_sets_holds_in_all_its_runs_and_is_not_varied() -> None:
     plan = make_plan("ieee33", [parse_vary("faults.loss=0,0.5")], ("information",), 1, changes={"areas": {"count": 4}})
     assert {len(scenario.partition.areas) for scenario in plan.scenarios.values()} == {4}
+    with pytest.raises(InvalidInputError, match="varied beside the option that sets it for all links"):
+        make_plan("ieee33", [parse_vary("faults.delay_ms=0,5")], ("information",), 1, links={"delay_s": 0.1})
     with pytest.raises(InvalidInputError, match="varied and set"):
         make_plan("ieee33", [parse_vary("faults.loss=0,0.5")], ("information",), 1, changes={"faults.loss": 0.1})
 
