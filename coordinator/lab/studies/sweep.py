@@ -106,7 +106,10 @@ def _run_here(plan: SweepPlan, tasks: Sequence[Task], jobs: int) -> Generator[tu
         for future in as_completed(tasks_of):
             yield tasks_of[future], future.result()
     except BrokenProcessPool:
-        raise WorkerError("a worker was killed, for lack of memory perhaps; try again with fewer --jobs") from None
+        raise WorkerError(
+            "a worker was killed: for lack of memory perhaps, then try again with fewer --jobs; or a script calls this "
+            'without `if __name__ == "__main__":`, which workers need'
+        ) from None
     except BaseException:
         with _signals_held_back():
             pool.shutdown(wait=False, cancel_futures=True)
