@@ -92,7 +92,7 @@ def hand_over(
     trusted; with JSON and CSV, which programs read, they go to standard error.
     """
     if output.folder is not None:
-        _write_files(output.folder, output.parquet, tables, content())
+        write_files(output.folder, output.parquet, tables, content())
     if output.as_json:
         from coordinator.watch.tables.table_files import tables_as_json
 
@@ -108,7 +108,8 @@ def hand_over(
         (notify if machine_reads else show)(f"files: {output.folder}")
 
 
-def _write_files(folder: Path, parquet: bool, tables: Tables, content: dict[str, Any]) -> None:
+def write_files(folder: Path, parquet: bool, tables: Tables, content: dict[str, Any]) -> None:
+    """Write ``content`` as result.json, and the tables, with ``parquet`` also as Parquet."""
     from coordinator.watch.tables.table_files import write_json, write_parquet, write_tables
 
     write_json(folder / "result.json", content)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from coordinator.cli.command import INSPECT, command, removed_option
+from coordinator.cli.figure_options import figure_options, given_arguments
 from coordinator.cli.live.address import address_options
+from coordinator.cli.outputs import check_parquet_option, parquet_option, write_files
 from coordinator.cli.terminal import (
     DEFAULT_ENDPOINT,
     Number,
@@ -21,8 +25,10 @@ from coordinator.cli.terminal import (
 )
 from coordinator.watch.interrupts import end_orderly_on_signals
 from coordinator.watch.observe.run_address import RunAddress
+from coordinator.watch.run_folder import result_folder
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
+    from agents.messages.packing import StateMessage
     from coordinator.watch.replay.ticks import Tick
 
 PARTS_CODE = 5  # of a replay that agrees where the recording has gaps
@@ -88,19 +94,36 @@ def record(address: RunAddress, out: Path | None, limit_gb: float | None, scenar
 )
 @optional_scenario_argument
 @removed_option("--scenario", "give the scenario without an option: dsse replay FOLDER SCENARIO")
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Write the tables of all scans here.")
+@parquet_option
+@figure_options
 @quiet_option
 @json_option
-def replay(folder: Path, processes: bool, speed: float | None, scenario: str | None, quiet: bool, as_json: bool) -> int:
+def replay(
+    folder: Path,
+    processes: bool,
+    speed: float | None,
+    scenario: str | None,
+    out: Path | None,
+    parquet: bool,
+    formats: tuple[str, ...] | None,
+    quiet: bool,
+    as_json: bool,
+) -> int:
     """Play the readings in FOLDER, as they were used, to the same areas again, and compare what they make of them.
 
     On the simulator the states are those that were recorded, to the bit; of processes, within 1e-9. Scans of which
-    readings are missing are named and left out. SCENARIO: its areas instead of the recorded ones.
+    readings are missing are named and left out. SCENARIO: its areas instead of the recorded ones. DIR gets the tables
+    of `dsse run` with the rows of all scans, and a report; that needs SCENARIO.
 
     \b
     Examples:  dsse replay recordings/ieee33
                dsse replay recordings/ieee33 --processes --speed 10
+               dsse replay recordings/ieee33 ieee33 --out day
     """
+    from coordinator.lab.evaluation.answers import replay_as_json
     from coordinator.lab.evaluation.evaluation import choose_scenario
+    from coordinator.lab.evaluation.replayed_scans import ReplayedScans
     from coordinator.lab.stages.play import play_on_processes, play_on_simulator
     from coordinator.watch.replay.replay import format_replay
 
@@ -108,7 +131,28 @@ def replay(folder: Path, processes: bool, speed: float | None, scenario: str | N
     other = None if scenario is None else choose_scenario(scenario)
     play = play_on_processes if processes else play_on_simulator
     began = time.monotonic()
-    found = play(folder, other, speed, None if quiet else _Progress().show)
+    check_parquet_option(parquet)
+    if out is None and parquet:
+        raise click.UsageError("--parquet writes files; say where with --out DIR")
+    if out is not None and other is None:
+        raise click.UsageError("--out: tables are of a whole grid; name it: dsse replay FOLDER SCENARIO --out DIR")
+    with nullcontext() if out is None else result_folder(out):
+        scans = None if other is None or out is None else ReplayedScans(other)
+        progress = None if quiet else _Progress()
+
+        def on_scan(tick: Tick, states: Mapping[str, StateMessage]) -> None:
+            if progress is not None:
+                progress.show(tick)
+            if scans is not None:
+                scans.take(tick, states)
+
+        found = play(folder, other, speed, on_scan)
+        if other is not None and out is not None and scans is not None:
+            write_files(out, parquet, scans.tables, replay_as_json(other, found.as_json()))
+            if formats is not None:
+                from coordinator.show.report.scan_report import write_scan_report
+
+                write_scan_report(out, other, scans.tables, formats, given_arguments())
     text = format_replay(found, "processes" if processes else "the simulator", time.monotonic() - began)
     answer(as_json, found.as_json(), text)
     if not found.agrees:

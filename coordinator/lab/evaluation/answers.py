@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import platform
+from collections.abc import Mapping
 from typing import Any
 
 from coordinator.lab.evaluation.scan_estimates import ScanEstimates
@@ -29,6 +30,11 @@ def scans_as_json(scenario: Scenario, found: ScanEstimates) -> dict[str, Any]:
     estimated = len(found.names) - len(failed)
     of_all = {"scans": len(found.names), "estimated": estimated, "failed": failed}
     return {**head_json(scenario), "estimates": of_all | {"back_end": found.batch.plan.backend}, **versions_json()}
+
+
+def replay_as_json(scenario: Scenario, found: Mapping[str, Any]) -> dict[str, Any]:
+    """The content of the ``result.json`` of ``dsse replay``; ``found``: the comparison with the record."""
+    return {**head_json(scenario), "replay": dict(found), **versions_json()}
 
 
 def power_flow_as_json(solved: Scenario | Network, result: PowerFlowResult) -> dict[str, Any]:

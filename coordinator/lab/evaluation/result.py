@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from agents.messages.packing import StateMessage
 from agents.protocol.quality import GOOD
 from coordinator.lab.evaluation.answers import head_json, report_as_json, versions_json
 from coordinator.lab.evaluation.comparison import Comparison
@@ -21,6 +22,7 @@ from coordinator.watch.observe.watcher import count_exchanges
 from coordinator.watch.tables.table_files import write_json, write_tables
 from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.grid.measurement import Measurement
+from dsse_core.grid.partition import Area
 from dsse_core.results.results import Results, WithTables
 from scenarios.scenario import Scenario
 
@@ -113,17 +115,23 @@ class RunResult(RunOutcome):
 
 def make_area_results(observer: Observer, comparison: Comparison, now: float) -> tuple[AreaResult, ...]:
     """One row per area, in the scenario's order; ``now``: the time of the verdict on the observer's clock, s."""
-    return tuple(_make_area_result(area.name, observer, comparison, now) for area in observer.partition.areas)
+    found = []
+    for area in observer.partition.areas:
+        assessment = observer.assess_area(area.name, now)
+        state = observer.watcher.state_of(area.name)
+        found.append(make_area_result(area, state, comparison, assessment.quality, assessment.notes))
+    return tuple(found)
 
 
-def _make_area_result(name: str, observer: Observer, comparison: Comparison, now: float) -> AreaResult:
-    state = observer.watcher.state_of(name)
-    gap, error = comparison.gap_of(name), comparison.error_of(name)
+def make_area_result(
+    area: Area, state: StateMessage | None, comparison: Comparison, quality: str, notes: tuple[str, ...]
+) -> AreaResult:
+    """The row of ``area`` by its last ``state``, None without one."""
+    gap, error = comparison.gap_of(area.name), comparison.error_of(area.name)
     estimated = state is not None and bool(state.buses)
-    assessment = observer.assess_area(name, now)
     return AreaResult(
-        name=name,
-        buses=len(observer.partition.area(name).network.buses),
+        name=area.name,
+        buses=len(area.network.buses),
         gap_vm_pu=gap.vm_pu,
         gap_va_deg=gap.va_deg,
         error_vm_pu=error.vm_pu,
@@ -137,8 +145,8 @@ def _make_area_result(name: str, observer: Observer, comparison: Comparison, now
         degrees_of_freedom=state.degrees_of_freedom if state and estimated else None,
         removed=state.removed if state else (),
         critical=state.critical if state else (),
-        notes=assessment.notes,
-        quality=assessment.quality,
+        notes=notes,
+        quality=quality,
     )
 
 

@@ -79,7 +79,7 @@ class SimulatorStage:
         self._states.take(at, state)
 
 
-OnScan = Callable[[Tick], None] | None
+OnScan = Callable[[Tick, Mapping[str, StateMessage]], None] | None
 
 
 def load_replay_areas(folder: Path, scenario: Scenario | None = None) -> list[Configuration]:
@@ -124,5 +124,5 @@ def play_on_processes(
         return replay(folder, stage, names, speed, on_scan or _ignore)
 
 
-def _ignore(tick: Tick) -> None:
+def _ignore(tick: Tick, states: Mapping[str, StateMessage]) -> None:
     """Does nothing."""

@@ -89,11 +89,12 @@ def replay(
     stage: Stage,
     names: Sequence[str],
     speed: float | None = None,
-    on_scan: Callable[[Tick], None] = lambda tick: None,
+    on_scan: Callable[[Tick, Mapping[str, StateMessage]], None] = lambda tick, states: None,
 ) -> Comparison:
     """Plays the recording at ``folder`` on ``stage``; ``names``: of all areas of the stage.
 
-    ``speed``: factor by which it is faster than the record; None: without waiting. ``on_scan``: called after each scan.
+    ``speed``: factor by which it is faster than the record; None: without waiting. ``on_scan``: called after each
+    scan, with the state of each area.
 
     Raises:
         InvalidInputError: ``folder`` is no recording, or no scan has the readings of all areas that took part.
@@ -105,8 +106,8 @@ def replay(
             found.left_out[tick.scan] = why
             continue
         pace.wait_for(tick.at)
-        _compare(found, tick, stage.play(tick))
-        on_scan(tick)
+        _compare(found, tick, states := stage.play(tick))
+        on_scan(tick, states)
     if not found.scans:
         problem = "there is no scan of which the readings of all areas that took part are recorded"
         raise InvalidInputError(str(folder), [problem, *found.describe_left_out(), *found.notes])
