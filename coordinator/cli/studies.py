@@ -235,7 +235,9 @@ def _run_on_simulator(scenario: Scenario, folder: Path) -> RunOutcome:
 )
 @click.option("--seeds", type=click.IntRange(1, 100_000), default=5, show_default=True, help="Runs per value.")
 @strategies_option
-@click.option("--quantity", multiple=True, metavar="COLUMN", help="Draw it; repeatable.  [gap_vm_pu, below_1e6_s]")
+@click.option(
+    "--quantity", multiple=True, metavar="COLUMN", help="Draw it; repeatable.  [default: gap_vm_pu, below_1e6_s]"
+)
 @click.option("--jobs", type=click.IntRange(1, 1024), help="Processes at a time.  [default: one per core]")
 @executor_option
 @click.option("--out", type=click.Path(path_type=Path), help="Folder; that of an earlier sweep is gone on with.")

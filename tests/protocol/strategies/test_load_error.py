@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import consensus_dsse as dsse
 from coordinator.lab.evaluation.result import RunOutcome
 from coordinator.lab.simulator.simulate import Simulation
 from scenarios.scenario import Scenario, load_scenario
@@ -47,6 +48,18 @@ def test_a_load_error_moves_the_estimate_of_an_area_that_has_no_other_meter(case
     assert (moved / sigma)[is_own].max() > at_least_sigmas
     assert {found.quality for found in wrong.area_results} == {"good"}  # nobody can notice: the message is all there is
     assert not any(found.removed for found in wrong.area_results)
+
+
+def test_the_study_of_the_thesis_moves_the_states_of_its_method_alone():
+    both = "faults.load_error.all.p_mw,faults.load_error.all.q_mvar"
+    rows = dsse.sweep("ieee33-load-error", {both: [0.0, 0.6]}, strategies=["angle-offset", "information"], seeds=3)
+    of_information = np.array(rows.strategy) == "information"
+    np.testing.assert_allclose(
+        rows.error_vm_pu[of_information], rows.centralised_error_vm_pu[of_information], rtol=0, atol=1e-8
+    )
+    without, wrong = rows.error_vm_pu[~of_information].reshape(2, 3)
+    assert (abs(wrong - without) > 1e-3).all()
+    assert (np.stack([without, wrong]) > rows.error_vm_pu[of_information].reshape(2, 3)).all()
 
 
 @pytest.mark.parametrize("case", MOVED)
