@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from dsse_core.grid.admittance import flat_start
 from dsse_core.grid.measurement import Measurement, MeasurementKind
 from dsse_core.grid.partition import Area, Neighbour
-from dsse_core.linear import NoLoadSolver, make_no_load
+from dsse_core.linear import NoLoadSolver
 from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BoundaryInformation
 from dsse_core.matrices.augmented import reciprocal_root, reciprocal_row_lengths, scale_rows
@@ -146,4 +146,4 @@ def build_no_load_model(area: Area, measurements: Sequence[Measurement], referen
     of_power = ~np.isin(model.kinds, (MeasurementKind.VM, MeasurementKind.VA))
     typical = np.median([1 / abs(complex(b.r, b.x)) for b in area.network.active_branches] or [1.0])
     model = replace(model, z=model.predict(x), sigma=np.where(of_power, typical, 1.0))
-    return NoLoadModel(model, make_no_load(model), x, model.ids, float(typical))
+    return NoLoadModel(model, NoLoadSolver(model, float(typical)), x, model.ids, float(typical))

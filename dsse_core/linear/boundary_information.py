@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import lapack
 
 EXACT_SIGMA = 1e-9  # p.u.; of exact injections, which may outnumber the variables once the boundary's voltage is given
 TIED_SIGMA = 1e-13  # p.u.; of powers that follow from the state, and the least of all, as exact injections add up
@@ -99,3 +100,17 @@ def factor_inverse(S: np.ndarray) -> np.ndarray:
     if p_first:
         return np.array([[root, 0.0], [-slope * other, other]])
     return np.array([[0.0, root], [other, -slope * other]])
+
+
+def invert_root(F: np.ndarray) -> np.ndarray:
+    """P with ``P'P = (F'F)^-1`` for F (:, n), a root of the covariance of n combinations of powers.
+
+    The least certain comes first, then the others given those before.
+    """
+    turned, order, _, _, _ = lapack.dgeqp3(F)
+    T, each = np.triu(turned[: F.shape[1]]), np.arange(F.shape[1])
+    least = np.maximum(TIED_SIGMA, ROUNDING * np.linalg.norm(T, axis=0))
+    T[each, each] = np.copysign(np.maximum(abs(T[each, each]), least), T[each, each])
+    P = np.empty(T.shape)
+    P[:, order - 1] = lapack.dtrtri(T)[0].T
+    return P

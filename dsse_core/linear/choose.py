@@ -8,7 +8,6 @@ from dsse_core.grid.partition import Area
 from dsse_core.linear.area_measurements import AreaMeasurements, Backend
 from dsse_core.linear.dense import DenseRows
 from dsse_core.linear.interface import LinearArea, Rows
-from dsse_core.linear.no_load import NoLoadSolver
 from dsse_core.linear.radial import RadialSolver, find_why_not_radial
 from dsse_core.linear.reduced import ReducedSolver
 from dsse_core.linear.rows import TableauSolver
@@ -54,8 +53,3 @@ def make_linear(model: AreaMeasurements, rows: Rows) -> LinearArea:
     assert isinstance(rows, SparseRows)  # by ``make_rows``
     by_rows = TableauSolver(model, rows, "sparse")
     return RadialSolver(model, by_rows) if chosen == "radial" else by_rows
-
-
-def make_no_load(model: AreaMeasurements) -> NoLoadSolver:
-    """Numerics of a model without load, for areas of any size."""
-    return NoLoadSolver(model, SparseRows(model), "no load")

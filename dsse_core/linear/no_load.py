@@ -20,17 +20,17 @@ NO_LOAD_NOT_YET = 1e-18  # information given to undetermined variables, in units
 
 
 class _AtNoLoad(RowSolver):
-    """Solver that damps undetermined variables next to nothing, so that they stand out."""
+    """Solver that damps undetermined variables next to nothing, so that they stand out.
+
+    ``sigma_of_power``: that of all power meters without load.
+    """
+
+    sigma_of_power: float
 
     def least_information(self, columns: np.ndarray) -> np.ndarray:
-        """NO_LOAD_NOT_YET of voltages; of powers times their weight in a power meter, 1 at most."""
+        """NO_LOAD_NOT_YET of voltages; of powers times their weight in a power meter."""
         of_voltage = columns < 2 * len(self.model.area.network.buses)
         return NO_LOAD_NOT_YET * np.where(of_voltage, 1.0, self.sigma_of_power**-2)
-
-    @property
-    def sigma_of_power(self) -> float:
-        """Sigma that all power meters have without load, 1 at least."""
-        return float(self.model.sigma.max(initial=1.0))
 
 
 class NoLoadSolver(_AtNoLoad, TableauSolver):
@@ -42,8 +42,9 @@ class NoLoadSolver(_AtNoLoad, TableauSolver):
 
     nothing_of_voltage = 0.0
 
-    def __init__(self, model: AreaMeasurements, rows: SparseRows, name: str) -> None:
-        super().__init__(model, rows, name)
+    def __init__(self, model: AreaMeasurements, sigma_of_power: float) -> None:
+        super().__init__(model, SparseRows(model), "no load")
+        self.sigma_of_power = sigma_of_power
         self._by_reflections: NoLoadReflections | None = None
 
     def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
@@ -51,7 +52,7 @@ class NoLoadSolver(_AtNoLoad, TableauSolver):
         if self.model.boundary_of(neighbour).is_single:
             return super().information(x, neighbour, received)
         if self._by_reflections is None:
-            self._by_reflections = NoLoadReflections(self.model, DenseRows(self.model), self.name)
+            self._by_reflections = NoLoadReflections(self.model, self.sigma_of_power)
         return self._by_reflections.information(x, neighbour, received)
 
     def factor(self, H: sp.csr_array, sigma: np.ndarray, columns: np.ndarray) -> AugmentedFactor:
@@ -62,6 +63,10 @@ class NoLoadSolver(_AtNoLoad, TableauSolver):
 
 class NoLoadReflections(_AtNoLoad, ReducedSolver):
     """Information without load about the variables of a boundary at several buses."""
+
+    def __init__(self, model: AreaMeasurements, sigma_of_power: float) -> None:
+        self.sigma_of_power = sigma_of_power
+        super().__init__(model, DenseRows(model), "no load")
 
     def tied_sigma(self, boundary: Boundary) -> float:
         """Sigma of rows that tie powers to voltages: EXACT_SIGMA in units of the sigma of power meters."""

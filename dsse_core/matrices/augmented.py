@@ -186,7 +186,7 @@ class AugmentedFactor:
     ) -> None:
         self._pattern = pattern = pattern or AugmentedPattern(H)
         self._n_meas, self.n_state = H.shape[0], len(pattern.columns)
-        self.variance = sigma**2
+        self.variance, self._damping = sigma**2, np.broadcast_to(damping, self.n_state)
         square = H.data**2
         square[pattern.known] = 0.0
         row_scale = reciprocal_root(np.bincount(pattern.row, square, self._n_meas))
@@ -252,6 +252,10 @@ class AugmentedFactor:
     def covariance_times(self, B: np.ndarray) -> np.ndarray:
         """``G^-1 B`` (n_state, k), ``G = H'WH`` under the constraints: columns of the state's covariance."""
         return -self.solve(np.zeros((self._n_meas, B.shape[1])), B)[1]
+
+    def root_of_covariance(self, s: np.ndarray, dx: np.ndarray) -> np.ndarray:
+        """F with ``F'F = B'G^-1 B``, a sum of squares, from the solution ``s``, ``dx`` of ``solve(0, B)``."""
+        return np.vstack([self.variance[:, None] ** 0.5 * s, self._damping[:, None] ** 0.5 * dx])
 
     def variance_of_sums(self, B: sp.csr_array) -> np.ndarray:
         """diag(B G^-1 B'), shape (k,), for ``B`` (k, n_state); nan where k solves would cost more than MOST_SOLVED."""

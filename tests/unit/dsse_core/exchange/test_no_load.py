@@ -55,6 +55,25 @@ def without_some(feeder, share, seed):
     return replace(feeder, measurements=tuple(m for m, k in zip(feeder.measurements, kept, strict=True) if k))
 
 
+# buses, areas, share of chains, decades, loops, share of transformers, impedance of a short branch
+NO_METER_BETWEEN = 1238, 9, 7, 0.6, 2.0, 2, 0.0, 1e-4  # an area without meters says nothing about the power behind it
+ONE_COMBINATION = 1588, 19, 5, 0.3, 1.0, 2, 0.0, 1e-4  # of p and q is known, and the other is not
+ONE_OF_SHORT_BRANCHES = 1528, 12, 7, 0.9, 1.0, 3, 0.0, 1e-6
+
+
+@pytest.mark.parametrize(
+    ("grid", "shares"),
+    [
+        (NO_METER_BETWEEN, MeterShares(voltage=0.0, angle=0.1, flow=0.3, current=0.2, boundary_injection=0.5)),
+        (ONE_COMBINATION, MeterShares(voltage=0.3, flow=0.3, current=0.5, injection=0.7)),
+        (ONE_OF_SHORT_BRANCHES, MeterShares(angle=0.1, flow=0.3, current=0.2, boundary_injection=0.5)),
+    ],
+)
+def test_areas_pass_on_what_is_known_beside_what_is_not(grid, shares):
+    feeder = make_grid(*grid, True, shares)
+    assert decide_by_areas(feeder) == decide_centrally(feeder)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("shares", SCARCE)
 @pytest.mark.parametrize("short", [None, 1e-4, 1e-6])
