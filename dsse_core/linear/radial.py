@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from dsse_core.compiling import find_obstacle
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Neighbour
+from dsse_core.grid.radial_order import find_tree
 from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import (
     NOTHING_OF_VOLTAGE,
@@ -27,7 +29,7 @@ from dsse_core.linear.boundary_information import (
 from dsse_core.linear.contributions import VoltageReadings, least_squares
 from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, LinearArea, Received
 from dsse_core.linear.rows import TableauSolver
-from dsse_core.radial.plan import N_SLOT, N_VOLTAGE_SLOT, lay_out_radial, plan_tree
+from dsse_core.radial.plan import N_SLOT, N_VOLTAGE_SLOT, plan_tree
 
 if TYPE_CHECKING:
     from dsse_core.radial.tree import Tree
@@ -39,8 +41,8 @@ LEAST_SPREAD = 1e-5
 
 def find_why_not_radial(network: Network) -> str:
     """The reason why radial cannot serve ``network``; empty if it can."""
-    layout = lay_out_radial(network, int(network.table.bus_id[0]))
-    return layout if isinstance(layout, str) else ""
+    tree = find_obstacle() or find_tree(network, int(network.table.bus_id[0]))
+    return tree if isinstance(tree, str) else ""
 
 
 class RadialSolver(LinearArea):

@@ -13,7 +13,6 @@ from dsse_core.errors import InvalidInputError, PowerFlowDivergedError
 from dsse_core.grid.network import Network
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_by_newton, solve_with_plan
 from dsse_core.power_flow.plan import MethodChoice, PowerFlowPlan, build_power_flow_plan
-from dsse_core.radial.plan import RadialLayout, lay_out_radial, stack_admittances
 from dsse_core.row_threads import find_threads, share_out
 
 Solve = Callable[[PowerFlowPlan, np.ndarray, np.ndarray, int], PowerFlowResult]
@@ -73,27 +72,23 @@ def solve_power_flow_batch(
     plan = build_power_flow_plan(network, method=method) if isinstance(network, Network) else network
     vm, va = np.full((2, *p.shape), np.nan)
     limit, iterations = plan.find_limit(tolerance), np.zeros(len(p), dtype=np.int64)
-    layout = _lay_out(plan, len(p), is_kept)
-    rows = _Rows(plan, layout, p, q, limit, max_iterations, vm, va, iterations, {})
-    share_out(len(p), find_threads(threads), rows.one_by_one if layout is None else rows.by_sweeps)
+    rows = _Rows(plan, p, q, limit, max_iterations, vm, va, iterations, {})
+    is_compiled = not isinstance(plan.paths, str) and _pays(plan, len(p), is_kept) and find_obstacle("batch") is None
+    share_out(len(p), find_threads(threads), rows.by_sweeps if is_compiled else rows.one_by_one)
     return PowerFlowBatch(plan.network, rows.vm, rows.va, rows.iterations, dict(sorted(rows.failures.items())))
 
 
-def _lay_out(plan: PowerFlowPlan, n_row: int, is_kept: bool) -> RadialLayout | None:
-    """The tree for compiled sweeps, where they serve and pay."""
+def _pays(plan: PowerFlowPlan, n_row: int, is_kept: bool) -> bool:
+    """True where compiled sweeps pay, or are loaded already."""
     pays = n_row * (len(plan.network.buses) + BUSES_OF_A_ROW) >= FEWEST_BUSES_OF_COMPILED
-    if isinstance(plan.paths, str) or not (pays or is_kept or COMPILED in sys.modules) or find_obstacle("batch"):
-        return None
-    layout = lay_out_radial(plan.network, plan.slack_bus)
-    return None if isinstance(layout, str) else layout
+    return pays or is_kept or COMPILED in sys.modules
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """The rows to solve, and the arrays to fill. ``layout``: the tree of compiled sweeps, None without them."""
+    """The rows to solve, and the arrays to fill."""
 
     plan: PowerFlowPlan
-    layout: RadialLayout | None
     p: np.ndarray
     q: np.ndarray
     limit: np.ndarray
@@ -112,12 +107,12 @@ class _Rows:
 
     def by_sweeps(self) -> Callable[[int, int], None]:
         """The function that solves rows by compiled sweeps, and by Newton's method those that sweeps do not solve."""
-        from dsse_core.power_flow.sweeps import build_factors, sweep_rows  # numba
+        from dsse_core.power_flow.sweeps import build_tables, sweep_rows  # numba
 
-        plan, layout = self.plan, self.layout
-        assert layout is not None
-        n, order = len(layout.order), layout.order
-        tables = build_factors(plan.network, layout), stack_admittances(plan.network, layout)
+        plan, paths = self.plan, self.plan.paths
+        assert not isinstance(paths, str)
+        n, order = len(paths.order), paths.order
+        tables = build_tables(plan.network, paths)
         start = plan.start_voltage[order], plan.start[order]
         memory = np.empty((3, n), dtype=complex)
 
@@ -125,7 +120,7 @@ class _Rows:
             here = slice(first, end)
             met = np.empty(end - first, dtype=bool)
             sweep_rows(
-                order, layout.parent, *tables, *start, self.limit[order], self.p[here], self.q[here], *memory,
+                order, paths.parent, *tables, *start, self.limit[order], self.p[here], self.q[here], *memory,
                 self.vm[here], self.va[here], self.iterations[here], met,
             )  # fmt: skip
             root = order[0]

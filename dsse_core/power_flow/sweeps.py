@@ -14,21 +14,27 @@ import numpy as np
 
 from dsse_core.code_cache import compiled
 from dsse_core.grid.network import Network
-from dsse_core.power_flow.path_sums import MOST_SWEEPS, SMALLEST_CHANGE
+from dsse_core.power_flow.path_sums import MOST_SWEEPS, SMALLEST_CHANGE, TreePaths
 from dsse_core.radial.block import modulus, scaled
 from dsse_core.radial.iteration import branch_powers
-from dsse_core.radial.plan import RadialLayout, stack_admittances
+from dsse_core.radial.layout import stack
 
 
-def build_factors(network: Network, layout: RadialLayout) -> np.ndarray:
-    """``ypp / ycp, -det / ycp, 1 / ycc, ycp / ycc`` of the branch above each bus, and its shunt, shape (n_bus, 5)."""
-    Y, table = stack_admittances(network, layout).conj(), network.table
-    ycc, ycp, ypp = Y[layout.child, :3].T
-    factors = np.zeros((len(layout.order), 5), dtype=complex)
+def build_tables(network: Network, paths: TreePaths) -> tuple[np.ndarray, np.ndarray]:
+    """``ypp / ycp, -det / ycp, 1 / ycc, ycp / ycc`` of the branch above each bus, and its shunt, shape (n_bus, 5); and
+    the admittances of ``layout.stack``.
+    """
+    table, place = network.table, np.empty(len(paths.order), dtype=np.int64)
+    place[paths.order] = np.arange(len(place))
+    f, t = place[table.f], place[table.t]
+    child, columns = np.maximum(f, t), (table.series, table.charging, table.tap, table.shift, table.shunt)
+    Y = stack(*columns, paths.order, child, f < t, table.active, True)
+    ycc, ycp, ypp = Y[child, :3].conj().T
+    factors = np.zeros((len(place), 5), dtype=complex)
     det = table.ends * (2 * table.ys + table.ends) / abs(table.ratio) ** 2
-    factors[layout.child, :4] = np.stack([ypp / ycp, -det / ycp, 1 / ycc, ycp / ycc], axis=1)
-    factors[:, 4] = Y[:, 7]
-    return factors
+    factors[child, :4] = np.stack([ypp / ycp, -det / ycp, 1 / ycc, ycp / ycc], axis=1)
+    factors[:, 4] = Y[:, 7].conj()
+    return factors, Y
 
 
 @compiled

@@ -20,9 +20,11 @@ NOT_STUCK = -1
 
 @compiled
 def lay_out(ends, in_service, root, n):
-    """Number of branches in service, and the arrays of a ``RadialLayout`` of n buses.
+    """Number of branches in service, and the tree of n buses from row ``root``.
 
-    Where the network is no tree the arrays are those of the buses reached from row ``root``. ``ends``
+    The tree: network row of each of its buses; place in it of each network row; number of the bus above each bus, the
+    root's is 0; of each branch in service the number of the bus below it, True where its from side is above, and its
+    row among all branches. Where the network is no tree the arrays are those of the buses reached. ``ends``
     (2, n_all_branches): rows of buses.
     """
     active = np.flatnonzero(in_service)
@@ -41,7 +43,12 @@ def lay_out(ends, in_service, root, n):
 
 @compiled
 def stack(series, charging, tap, shift, shunt, order, child, from_parent, active, with_shunts):
-    """``stack_admittances`` of columns of ``NetworkTable``; without shunts and charging if not ``with_shunts``."""
+    """Admittances of the branch above each bus and of its shunt for the compiled passes, (n_bus, 8), complex.
+
+    Conjugates of ``ycc, ycp, ypp, ypc, ypp / ypc, 1 / ypc, ycp / conj(ypc)``, c the child's end and p the parent's
+    (see ``build_admittance``), and of the shunt; from columns of ``NetworkTable`` and the tree of ``lay_out``. Shunts
+    and charging are 0 if not ``with_shunts``.
+    """
     stacked = np.zeros((len(order), 8), dtype=np.complex128)
     share = 1.0 if with_shunts else 0.0
     for k in range(len(child)):

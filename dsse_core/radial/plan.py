@@ -36,7 +36,7 @@ class RadialPlan:
     """A tree of buses, numbered from the root (the reference bus) so that every parent precedes its children.
 
     ``order`` (n_bus,): network row of each bus of the tree. ``parent`` (n_bus,): number of its parent; the root's is 0.
-    ``admittance`` (n_bus, 8) complex: see ``stack_admittances``; ``no_load_admittance``: without shunts and charging.
+    ``admittance`` (n_bus, 8) complex: see ``layout.stack``; ``no_load_admittance``: without shunts and charging.
     ``slot`` (n_meas,): place of each meter's reading in an array (n_bus, N_SLOT), flattened. ``start`` (n_bus,) complex
     and ``start_va`` (n_bus,): the flat start in tree order, with the angle that is given at the root. ``level``
     (n_bus,): number of branches to the root. ``spaces``: memory that no iteration uses at the moment.
@@ -82,34 +82,6 @@ class RadialPlan:
             from dsse_core.radial.iteration import make_space
 
             return make_space(len(self.order))
-
-
-@dataclass(frozen=True)
-class RadialLayout:
-    """A tree of buses, numbered from the root so that every parent precedes its children.
-
-    ``order`` (n_bus,): network row of each bus of the tree. ``number`` (n_bus,): place in the tree of each network
-    row. ``parent`` (n_bus,): number of its parent; the root's is 0. ``child`` (n_branch,): number of the bus below each
-    branch in service; ``from_parent`` (n_branch,): True where its from side is above. ``active`` (n_branch,): its row
-    among all branches.
-    """
-
-    order: np.ndarray
-    number: np.ndarray
-    parent: np.ndarray
-    child: np.ndarray
-    from_parent: np.ndarray
-    active: np.ndarray
-
-
-def lay_out_radial(network: Network, root: int) -> RadialLayout | str:
-    """The tree of ``network`` with bus ``root`` on top, or, as text, the reason why compiled passes cannot serve it."""
-    if (obstacle := compiling.find_obstacle()) is not None:
-        return obstacle
-    table = network.table
-    n = len(table.bus_id)
-    n_branch, found = _load_compiled().lay_out(table.end_rows, table.in_service, table.rows.row_of(root), n)
-    return describe_no_tree(n, n_branch, len(found[0]), root) or RadialLayout(*found)
 
 
 def build_radial_plan(network: Network, meters: Sequence[Meter], *, reference: int | None = None) -> RadialPlan | str:
@@ -160,19 +132,6 @@ def _check_determined(plan: RadialPlan, stuck: int) -> RadialPlan | str:
     check_observable(plan.network, plan.meters, reference=plan.reference)
     bus = plan.network.buses[plan.order[stuck]].id
     return f"the power through the branch above bus {bus} is not determined by the meters below and at that branch"
-
-
-def stack_admittances(network: Network, layout: RadialLayout) -> np.ndarray:
-    """Admittances of the branch above each bus and of its shunt for the compiled passes, (n_bus, 8), complex.
-
-    Conjugates of ``ycc, ycp, ypp, ypc, ypp / ypc, 1 / ypc, ycp / conj(ypc)``, c the child's end and p the parent's
-    (see ``build_admittance``), and of the shunt.
-    """
-    table = network.table
-    columns = table.series, table.charging, table.tap, table.shift, table.shunt
-    of_tree = layout.order, layout.child, layout.from_parent, layout.active
-    stacked: np.ndarray = _load_compiled().stack(*columns, *of_tree, True)
-    return stacked
 
 
 def _read_meters(network: Network, meters: Sequence[Meter]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -99,15 +99,15 @@ def test_shapes_that_do_not_fit_are_rejected(case):
 def test_sweeps_of_a_batch_are_compiled_for_a_kept_plan_many_rows_or_where_they_are_loaded(case, monkeypatch):
     monkeypatch.delitem(sys.modules, batch_module.COMPILED, raising=False)
     plan = build_power_flow_plan(fed_by_the_substation(case("ieee33")))
-    laid_out = []
+    swept = []
     monkeypatch.setattr(batch_module, "find_obstacle", lambda what: None)
-    monkeypatch.setattr(batch_module, "lay_out_radial", lambda network, root: laid_out.append(root) or "stub")
+    monkeypatch.setattr(batch_module._Rows, "by_sweeps", lambda rows: swept.append(len(rows.p)) or rows.one_by_one())
     few, many = (injections_of(plan.network, n_row) for n_row in (2, 3))
     monkeypatch.setattr(batch_module, "FEWEST_BUSES_OF_COMPILED", 3 * (33 + batch_module.BUSES_OF_A_ROW))
-    solve_power_flow_batch(plan.network, *few)
-    assert laid_out == []
-    solve_power_flow_batch(plan.network, *many)
-    solve_power_flow_batch(plan, *few)
+    solve_power_flow_batch(plan.network, *few, threads=1)
+    assert swept == []
+    solve_power_flow_batch(plan.network, *many, threads=1)
+    solve_power_flow_batch(plan, *few, threads=1)
     monkeypatch.setitem(sys.modules, batch_module.COMPILED, None)
-    solve_power_flow_batch(plan.network, *few)
-    assert laid_out == [1, 1, 1]
+    solve_power_flow_batch(plan.network, *few, threads=1)
+    assert swept == [3, 2, 2]
