@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from dsse_core.errors import NotObservableError
-from dsse_core.estimation.decision import Decision, IterationLostError, Memory, Totals, decide, put_back
+from dsse_core.estimation.decision import Decision, IterationLostError, Memory, Totals, decide
 from dsse_core.estimation.estimator import estimate_with_plan, iterate_with_plan, plan_scan
 from dsse_core.estimation.plan import BackendChoice, EstimationPlan
 from dsse_core.estimation.residuals import (
@@ -24,6 +24,8 @@ from dsse_core.estimation.result import EstimationResult
 from dsse_core.gauss_newton import LAST_STEP
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Network
+
+NO_NUMBERS = Totals(areas=1, failed=("",))  # of a grid whose iteration has no end
 
 
 @dataclass(frozen=True)
@@ -161,7 +163,8 @@ def process_bad_data_with_plan(
         try:
             following = _estimate_without([row], result, start, tolerance, memory)
         except IterationLostError:
-            result = _estimate_without([], result, start, tolerance, put_back(memory))
+            memory, _ = decide(memory, NO_NUMBERS)
+            result = _estimate_without([], result, start, tolerance, memory)
             break
         normalized = float(normalized_residuals(result)[row])
         removed.append(RemovedMeasurement(result.measurements[row], normalized, memory.tied[-1]))

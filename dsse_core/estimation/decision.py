@@ -259,16 +259,14 @@ def begin_at_flat_start(memory: Memory) -> Memory:
 
 
 def _give_up(memory: Memory, reason: str) -> tuple[Memory, Verdict]:
-    """Verdict where there is no estimate: again with the meter that was taken out last, or the end where none was."""
-    if memory.removed and not memory.kept:
-        return put_back(memory), Verdict(Decision.ANEW)
-    return memory, Verdict(Decision.FINAL, reason=reason)
+    """Verdict where there is no estimate: again with the meter that was taken out last, or the end where none was.
 
-
-def put_back(memory: Memory) -> Memory:
-    """Memory with the last removed meter in use again, as no estimate is found without it; the one before stands."""
+    The one removed before stays out.
+    """
+    if memory.kept or not memory.removed:
+        return memory, Verdict(Decision.FINAL, reason=reason)
     spent = memory.spent + memory.steps
-    return Memory(memory.removed[:-1], memory.tied[:-1], memory.removed[-1], spent=spent)
+    return Memory(memory.removed[:-1], memory.tied[:-1], memory.removed[-1], spent=spent), Verdict(Decision.ANEW)
 
 
 def most_steps(memory: Memory) -> int:

@@ -32,6 +32,8 @@ class Kind(StrEnum):
 
 DEGREE = {Kind.P: 2.0, Kind.Q: 2.0, Kind.VM: 1.0, Kind.VA: 0.0}
 """The power k for which a variable grows as c^k where all voltages grow by c."""
+D_SINGLE = 4
+"""The number of variables where areas meet at a single bus with one phase: y = (p, q, vm, va)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +82,8 @@ class Boundary:
 
     @property
     def is_single(self) -> bool:
-        """True where the areas meet at a single bus with one phase: y = (p, q, vm, va)."""
-        return self.d == 2 * self.n_powers == 4
+        """True where the areas meet at a single bus with one phase."""
+        return self.d == 2 * self.n_powers == D_SINGLE
 
     @cached_property
     def voltage_buses(self) -> tuple[int, ...]:

@@ -15,7 +15,6 @@ TIED_SIGMA = 1e-13  # p.u.; of powers that follow from the state, and the least 
 ROUNDING = 1e-14  # relative size of a difference of equal numbers
 NOTHING_OF_VOLTAGE = 1e-10  # information about a voltage, below which it is rounding
 BEYOND_REASON = 1e18  # largest size of the numbers of a message
-VM, VA = 2, 3  # places of magnitude and angle in y
 
 
 def are_within_reason(numbers: Sequence[float]) -> bool:
@@ -27,9 +26,7 @@ def are_within_reason(numbers: Sequence[float]) -> bool:
 class BoundaryInformation:
     """Cost-to-go ``1/2 |R y - z|^2`` of one side of a boundary: ``R`` (d, d) upper triangular, ``z`` (d,).
 
-    The boundary has d variables y, 4 where the areas meet at one bus.
-
-    A row of zeros holds no information. ``L = R'R`` is its information matrix.
+    The boundary has d variables y. A row of zeros holds no information. ``L = R'R`` is its information matrix.
     """
 
     R: np.ndarray
@@ -42,17 +39,17 @@ class BoundaryInformation:
         return self.R[is_known], self.z[is_known]
 
     def with_row(self, row: np.ndarray, z: float) -> BoundaryInformation:
-        """Information with one more ``row`` (4,) about y, of variance 1 and right-hand side ``z``; d must be 4."""
+        """Information with one more ``row`` (d,) about y, of variance 1 and right-hand side ``z``."""
         rows = np.vstack([np.column_stack([self.R, self.z]), [*row, z]])
         heavy_first = rows[np.argsort(-abs(rows[:, :-1]).max(axis=1), kind="stable")]
         turned = np.asarray(np.linalg.qr(heavy_first, mode="r"))
-        return BoundaryInformation(turned[:4, :4], turned[:4, 4])
+        return BoundaryInformation(turned[:-1, :-1], turned[:-1, -1])
 
 
 def put_together(
     y: np.ndarray, power: np.ndarray, response: np.ndarray, shift: np.ndarray, voltage: tuple[np.ndarray, np.ndarray]
 ) -> BoundaryInformation:
-    """Message of ``|power dpq + response dv - shift|^2`` and ``voltage`` = (N, n), ``|N dv - n|^2``, around ``y`` (4,).
+    """Message of ``|power dpq + response dv - shift|^2`` and ``voltage`` = (N, n), ``|N dv - n|^2``, around ``y``.
 
     dpq and dv, (2,) each, are the changes of (p, q) and (vm, va); ``power`` and ``response`` (2, 2).
     """
@@ -60,7 +57,7 @@ def put_together(
     a, b = float(power[0, 0]), float(power[1, 0])
     length = math.hypot(a, b)
     turn = np.array([[a, b], [-b, a]]) / length if length else np.eye(2)
-    R = np.zeros((4, 4))
+    R = np.zeros((len(y), len(y)))
     R[:2, :2], R[:2, 2:], R[2:, 2:] = turn @ power, turn @ response, N
     R[1, 0] = 0.0
     return BoundaryInformation(R, R @ y + np.concatenate([turn @ shift, z_of_voltage]))

@@ -7,6 +7,7 @@ from typing import Self
 
 import numpy as np
 
+from dsse_core.grid.boundary import D_SINGLE
 from dsse_core.radial.boundary import N_MESSAGE, pass_upward, step_downward, variances_downward
 from dsse_core.radial.iteration import store
 from dsse_core.radial.kernel import Work, absent
@@ -20,7 +21,7 @@ class Tree:
     """The tree of ``plan`` with readings ``z`` and weights ``w``, (n_bus, N_SLOT) each, and memory for its passes.
 
     ``v``, ``va``: the state of the last pass, tree order. ``at``, ``column`` (k,): of each neighbour, see
-    ``boundary.pass_upward``; ``role`` (k,), ``R`` (k, 4, 4), ``message_z`` (k, 4): its message, which the caller fills.
+    ``boundary.pass_upward``; ``role`` (k,), ``R`` (k, d, d), ``message_z`` (k, d): its message, which the caller fills.
     """
 
     plan: RadialPlan
@@ -40,8 +41,8 @@ class Tree:
     def of(cls, plan: RadialPlan, at: np.ndarray = NO_BOUNDARY, column: np.ndarray = NO_BOUNDARY) -> Self:
         """The tree of ``plan`` without readings."""
         n, k = len(plan.order), len(at)
-        v, messages = np.empty(n, dtype=complex), (np.zeros((k, 4, 4)), np.zeros((k, 4)), np.zeros((k, N_MESSAGE)))
-        role = np.zeros(k, dtype=np.int64)
+        v, role, d = np.empty(n, dtype=complex), np.zeros(k, dtype=np.int64), D_SINGLE
+        messages = np.zeros((k, d, d)), np.zeros((k, d)), np.zeros((k, N_MESSAGE))
         return cls(plan, np.zeros((n, N_SLOT)), absent(n), v, np.empty(n), Work.of(n), at, column, role, *messages)
 
     def read(self, values: np.ndarray, sigmas: np.ndarray) -> Self:
