@@ -28,7 +28,7 @@ def check_own_packages() -> None:
 def _find_problem(name: str) -> str | None:
     spec = PathFinder.find_spec(name)
     if spec is None:
-        return f"the package {name!r} is missing; install consensus-dsse again: `pip install --force-reinstall`"
+        return f"the package {name!r} is missing; install consensus-dsse again: `{_reinstall_command()}`"
     if spec.origin is not None and _is_ours(spec.origin):
         return None
     place = _place_of(spec)
@@ -41,8 +41,19 @@ def _find_problem(name: str) -> str | None:
     return (
         f"{place}, of the distribution {owner}, stands in the place of the package {name!r} of consensus-dsse; install "
         f"consensus-dsse in an environment of its own, or `pip uninstall {owner}` and then "
-        "`pip install --force-reinstall --no-deps consensus-dsse`"
+        f"`{_reinstall_command()}`"
     )
+
+
+def _reinstall_command() -> str:
+    """The command that puts our packages in their places again, from where they came if that can be found out."""
+    options = ("--force-reinstall", "--no-deps")
+    spec = PathFinder.find_spec("dsse_core")
+    if spec is None or spec.origin is None or not _is_ours(spec.origin):
+        return " ".join(["pip install", *options, "consensus-dsse"])
+    from dsse_core.files.installation import install_command
+
+    return install_command("", *options)
 
 
 def _is_ours(file: str) -> bool:

@@ -14,14 +14,14 @@ NAME = "consensus-dsse"
 ROOT = Path(__file__).parents[2]  # of a checkout that runs without being installed
 
 
-def install_command(extra: str = "") -> str:
+def install_command(extra: str = "", *options: str) -> str:
     """The command for a shell that installs this project again with ``extra``, from where this one came.
 
     A wheel or checkout is named by its path, a repository by its address. Without a record of the origin pip looks for
-    the project in its index.
+    the project in its index. ``options``: of pip.
     """
     what = f"[{extra}]" if extra else ""
-    return shlex.join([sys.executable or "python3", "-m", "pip", "install", *_find_origin(what)])
+    return shlex.join([sys.executable or "python3", "-m", "pip", "install", *options, *_find_origin(what)])
 
 
 def _find_origin(extra: str) -> list[str]:

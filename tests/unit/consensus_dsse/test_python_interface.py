@@ -9,13 +9,15 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
+from importlib.machinery import PathFinder
 from pathlib import Path
 
 import pytest
 
 import consensus_dsse
-from consensus_dsse.own_packages import PACKAGES, check_own_packages
+from consensus_dsse.own_packages import PACKAGES, ForeignPackageError, check_own_packages
 from coordinator.cli.main import run_command
+from dsse_core.files import installation
 from dsse_core.grid.columns import Records
 
 ROOT = Path(__file__).parents[3]
@@ -156,3 +158,16 @@ def test_a_package_of_the_same_name_is_named_with_the_cure(name: str, installed:
         assert str(other / name / "__init__.py") in ended.stderr
         assert cure in ended.stderr
     assert "Traceback" not in ended.stderr
+
+
+@pytest.mark.parametrize(("missing", "origin"), [("agents", installation.install_command()), ("dsse_core", "")])
+def test_a_package_that_is_missing_is_named_with_the_command_that_installs_it(
+    monkeypatch: pytest.MonkeyPatch, missing: str, origin: str
+) -> None:
+    find = PathFinder.find_spec
+    monkeypatch.setattr(PathFinder, "find_spec", lambda name: None if name == missing else find(name))
+    with pytest.raises(
+        ForeignPackageError, match=f"package '{missing}' is missing.*--force-reinstall --no-deps"
+    ) as error:
+        check_own_packages()
+    assert origin.split(" install ")[-1] in str(error.value)
