@@ -8,7 +8,7 @@ import numpy as np
 
 from dsse_core.results.columns import AreaColumns
 from dsse_core.results.state import GridState
-from dsse_core.results.table import NO_SCAN, PHASE, ScanLabel, Table
+from dsse_core.results.table import IN_ONE_PLACE, NO_SCAN, PHASE, Freshness, ScanLabel, Table, mark_rows
 from dsse_core.results.totals import TOTALS, Division, find_totals
 from dsse_core.results.units import base_kw
 
@@ -35,7 +35,7 @@ def make_area_table(
     division: Division,
     sigmas: np.ndarray | None = None,
     of_run: Mapping[str, np.ndarray] | None = None,
-    quality: Sequence[str] | None = None,
+    marks: Sequence[Freshness] | None = None,
     label: ScanLabel = NO_SCAN,
 ) -> Table:
     """One row per area; ``of_run``: the columns OF_A_RUN. Balance: ``generation + import = load + loss``.
@@ -44,22 +44,24 @@ def make_area_table(
     and Q are sorted each by itself. ``loss``: of the area's branches with their charging, and of the shunts at its
     buses. ``import``: the power that comes from other areas over the boundary buses. A total is nan where a part of it
     is not known. ``sigmas`` (2, 4, n_area): standard deviations of P and Q of TOTALS, p.u.; nan without them.
-    ``label``: of the scan.
+    ``label``: of the scan. ``marks``: of each area.
     """
     kw, n, unknown = base_kw(state.network), len(division.names), np.full(len(division.names), np.nan)
     totals = _name_totals(find_totals(state, division) * kw)
     deviations = _name_totals(np.full((2, len(TOTALS), n), np.nan) if sigmas is None else sigmas * kw)
     scan, time = label.columns(n)
+    of_areas = mark_rows(marks or [IN_ONE_PLACE] * n)
     columns = AreaColumns(
         area=division.names,
         phase=[PHASE] * n,
         owned_buses=np.bincount(division.of_bus, minlength=n),
         **totals,
         **{key: (of_run or {}).get(key, unknown) for key in OF_A_RUN},
-        quality=quality or [""] * n,
+        quality=of_areas.pop("quality"),
         **{f"sigma_{name}": values for name, values in deviations.items()},
         scan=scan,
         time=time,
+        **of_areas,
     )
     return Table("areas", vars(columns))
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from dsse_core.grid.columns import read_given
 from dsse_core.grid.network import Network
 from dsse_core.results.columns import BranchColumns
 from dsse_core.results.flows import BranchModel, Flows
-from dsse_core.results.table import NO_SCAN, PHASE, ScanLabel, Table
+from dsse_core.results.table import IN_ONE_PLACE, NO_SCAN, PHASE, ScanLabel, Table, mark_rows
 from dsse_core.results.units import base_a, base_kw
 
 QUANTITIES = (
@@ -30,13 +33,14 @@ def make_branch_table(
     flows: Flows,
     sigmas: np.ndarray | None = None,
     label: ScanLabel = NO_SCAN,
+    marks: Mapping[str, Any] | None = None,
 ) -> Table:
     """One row per branch; branches out of service are included and carry nothing.
 
     Powers and currents are positive into the branch at either end; a loss is the sum of the powers at both ends,
     charging included. ``loading_percent``: the larger current of the two ends by ``i_max``, or the larger apparent
     power by ``s_max``; nan where neither is known. ``sigmas`` (8, n_branch): standard deviations of ``QUANTITIES``,
-    p.u.; nan without them. ``label``: of the scan.
+    p.u.; nan without them. ``label``: of the scan. ``marks``: the columns of ``mark_rows``.
     """
     kw, a, count = base_kw(network), base_a(network), len(network.branches)
     a_from, a_to = a[branches.f], a[branches.t]
@@ -67,6 +71,7 @@ def make_branch_table(
         **{f"sigma_{q}": s * u for q, s, u in zip(QUANTITIES, deviations, units, strict=True)},
         scan=scan,
         time=time,
+        **(marks or mark_rows([IN_ONE_PLACE] * count)),
     )
     return Table("branches", vars(columns))
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from dsse_core.grid.columns import read_given
 from dsse_core.results.columns import BusColumns
 from dsse_core.results.state import GridState
-from dsse_core.results.table import NO_SCAN, PHASE, ScanLabel, Table
+from dsse_core.results.table import IN_ONE_PLACE, NO_SCAN, PHASE, ScanLabel, Table, mark_rows
 from dsse_core.results.units import base_kv, base_kw, wrap_degrees
 
 COMPARED = ("true", "centralised", "decentralised")
@@ -24,17 +25,18 @@ def make_bus_table(
     sigma_va: np.ndarray,
     sigma_injection: np.ndarray,
     label: ScanLabel = NO_SCAN,
+    marks: Mapping[str, Any] | None = None,
 ) -> Table:
     """One row per bus. ``vm_pu``, ``va_deg``, ``p_kw``, ``q_kvar`` come from ``state``; powers are positive into the
     network.
 
     ``areas`` (n_bus,): the area that owns each bus. ``compared``: those of COMPARED that are known, vm and va (n_bus,),
     p.u. and rad. The standard deviations are in p.u. and rad, (n_bus,) and, of P and Q, (2, n_bus). ``label``: of the
-    scan.
+    scan. ``marks``: the columns of ``mark_rows``.
     """
     network, n = state.network, len(state.vm)
     kv, kw, unknown = base_kv(network), base_kw(network), np.full(n, np.nan)
-    voltages: dict[str, np.ndarray] = {}
+    voltages: dict[str, Any] = {}
     for which in COMPARED:
         vm, va = compared.get(which, (unknown, unknown))
         voltages |= {f"{which}_vm_pu": vm, f"{which}_va_deg": wrap_degrees(va)}
@@ -57,5 +59,6 @@ def make_bus_table(
         sigma_q_kvar=sigma_injection[1] * kw,
         scan=scan,
         time=time,
+        **(marks or mark_rows([IN_ONE_PLACE] * n)),
     )
     return Table("buses", vars(columns))

@@ -57,6 +57,11 @@ class BusColumns:
     scan: Texts
     time: Times
     """scan and its time, where known"""
+    quality: Texts
+    value_age_s: Numbers
+    fresh: Truths
+    """[of the numbers](../explanation/quality.md#quality-and-age-of-each-number), those of the owner; no age in one
+    place"""
 
 
 @dataclass(frozen=True)
@@ -96,6 +101,10 @@ class BranchColumns:
     scan: Texts
     time: Times
     """scan and its time, where known"""
+    quality: Texts
+    value_age_s: Numbers
+    fresh: Truths
+    """as of buses, of the area that holds the branch"""
 
 
 @dataclass(frozen=True)
@@ -193,6 +202,9 @@ class AreaColumns:
     scan: Texts
     time: Times
     """scan and its time, where known"""
+    value_age_s: Numbers
+    fresh: Truths
+    """as of buses"""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from dsse_core.results.buses import make_bus_table
 from dsse_core.results.deviations.choose import Deviations, find_deviations
 from dsse_core.results.meters import make_meter_table
 from dsse_core.results.state import GridState, find_state
-from dsse_core.results.table import NO_SCAN, ScanLabel, Table
+from dsse_core.results.table import IN_ONE_PLACE, NO_SCAN, Freshness, ScanLabel, Table, mark_rows
 from dsse_core.results.totals import TOTALS, Division, division_of, whole_network
 
 Compared = Mapping[str, tuple[np.ndarray, np.ndarray]]
@@ -137,7 +137,7 @@ def results_of_estimate(
         partial(readings_of_estimate, found, meters),
         division,
         None,
-        [quality] * len(division.names),
+        [Freshness(quality)] * len(division.names),
         label,
     )
 
@@ -148,8 +148,8 @@ def results_without_estimate(
     """The tables of a scan whose ``readings`` have no estimate: all that follows from one is nan."""
     n, division = len(network.buses), find_division(network, partition)
     state = find_state(network, *np.full((2, n), np.nan))
-    qualities = [quality] * len(division.names)
-    return assemble_results(state, no_deviations(network, division), {}, readings, division, None, qualities, label)
+    marks = [Freshness(quality, fresh=False)] * len(division.names)
+    return assemble_results(state, no_deviations(network, division), {}, readings, division, None, marks, label)
 
 
 def results_of_power_flow(
@@ -173,18 +173,21 @@ def assemble_results(
     readings: MeterReadings | Callable[[], MeterReadings],
     division: Division,
     of_run: Mapping[str, np.ndarray] | None = None,
-    quality: Sequence[str] | None = None,
+    marks: Sequence[Freshness] | None = None,
     label: ScanLabel = NO_SCAN,
 ) -> Results:
     """All tables of ``state``; see the functions that make each."""
-    buses = make_bus_table(
-        state, division.owners(), compared, deviations.vm, deviations.va, deviations.injections, label
+    of_areas = marks or [IN_ONE_PLACE] * len(division.names)
+    of_buses, of_branches = (
+        mark_rows([of_areas[k] for k in of.tolist()]) for of in (division.of_bus, division.of_branch)
     )
+    voltages = deviations.vm, deviations.va, deviations.injections
+    flows = state.network, state.branches, state.flows, deviations.branches
     return Results(
-        buses=buses,
-        branches=make_branch_table(state.network, state.branches, state.flows, deviations.branches, label),
+        buses=make_bus_table(state, division.owners(), compared, *voltages, label, of_buses),
+        branches=make_branch_table(*flows, label, of_branches),
         make_meters=partial(_make_meters, state, readings, label),
-        make_areas=partial(_make_areas, state, division, deviations, of_run, quality, label),
+        make_areas=partial(_make_areas, state, division, deviations, of_run, marks, label),
     )
 
 
@@ -197,10 +200,10 @@ def _make_areas(
     division: Division,
     deviations: Deviations,
     of_run: Mapping[str, np.ndarray] | None,
-    quality: Sequence[str] | None,
+    marks: Sequence[Freshness] | None,
     label: ScanLabel,
 ) -> Table:
-    return make_area_table(state, division, deviations.totals, of_run, quality, label)
+    return make_area_table(state, division, deviations.totals, of_run, marks, label)
 
 
 def find_division(network: Network, partition: Partition | None) -> Division:

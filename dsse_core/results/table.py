@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import groupby
 from pathlib import Path
-from typing import Any, TextIO, cast, overload
+from typing import Any, NamedTuple, TextIO, cast, overload
 
 import msgspec
 import numpy as np
@@ -44,6 +44,25 @@ class ScanLabel:
 
 
 NO_SCAN = ScanLabel()
+
+
+class Freshness(NamedTuple):
+    """Quality and age of numbers. ``quality``: "" where the numbers have none. ``value_age_s``: time since the
+    telemetry behind them was received, s, or nan. ``fresh``: they are of the present, and count as known.
+    """
+
+    quality: str = ""
+    value_age_s: float = math.nan
+    fresh: bool = True
+
+
+IN_ONE_PLACE = Freshness()
+
+
+def mark_rows(marks: Sequence[Freshness]) -> dict[str, Any]:
+    """The columns ``quality``, ``value_age_s`` and ``fresh`` of rows with ``marks``."""
+    quality, ages, fresh = zip(*marks, strict=True) if marks else ((), (), ())
+    return {"quality": quality, "value_age_s": np.array(ages, dtype=float), "fresh": np.array(fresh, dtype=bool)}
 
 
 def as_times(seconds: np.ndarray) -> np.ndarray:

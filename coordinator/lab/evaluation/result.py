@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from agents.messages.packing import StateMessage
 from agents.protocol.quality import GOOD
@@ -16,8 +19,11 @@ from coordinator.lab.evaluation.run_tables import make_run_tables
 from coordinator.lab.evaluation.verdict import Verdict
 from coordinator.watch.observe.causes import Cause
 from coordinator.watch.observe.duplicates import Duplicate
+from coordinator.watch.observe.freshness import find_freshness
+from coordinator.watch.observe.grid_tables import GridTables, Tables
 from coordinator.watch.observe.observer import Observer, Sample
-from coordinator.watch.observe.view_json import describe_causes
+from coordinator.watch.observe.summary import Summary, summarise
+from coordinator.watch.observe.view_json import describe_causes, describe_summary
 from coordinator.watch.observe.watcher import count_exchanges
 from coordinator.watch.tables.table_files import write_json, write_tables
 from dsse_core.estimation.bad_data import BadDataReport
@@ -31,7 +37,8 @@ from scenarios.scenario import Scenario
 class AreaResult:
     """One area at the verdict; gaps and errors are over every bus that it sees.
 
-    ``quality``: of its last state at the verdict (docs/explanation/quality.md).
+    ``quality``: of its last state at the verdict (docs/explanation/quality.md). ``value_age_s``: time since it has
+    received the telemetry of its numbers, s. ``fresh``: they are of the present.
     ``notes``: reasons for the quality, the worst first; for a good state, remarks.
     """
 
@@ -52,6 +59,8 @@ class AreaResult:
     critical: tuple[str, ...]
     notes: tuple[str, ...]
     quality: str
+    value_age_s: float | None
+    fresh: bool
 
     @property
     def degraded(self) -> bool:
@@ -101,6 +110,15 @@ class RunOutcome(WithTables):
         figures = [asdict(area) for area in self.area_results]
         return make_run_tables(self.comparison, self.scenario.meters, self.readings, self.centralised, figures)
 
+    @cached_property
+    def summary(self) -> Summary:
+        """The numbers of the areas at the verdict beside the limits of the scenario."""
+        meters = {name: self.meters[name] for name in ("meter", "status", "normalised_residual")}
+        fresh = np.zeros(len(self.meters), dtype=bool)
+        for area, rows in self.scenario.partition.split_meters(self.scenario.meters).items():
+            fresh[rows] = self.areas.fresh[self.areas.area.index(area)]
+        return summarise(Tables(self.buses, self.branches, meters | {"fresh": fresh}), GridTables(self.scenario))
+
 
 @dataclass(frozen=True, repr=False)
 class RunResult(RunOutcome):
@@ -119,16 +137,23 @@ def make_area_results(observer: Observer, comparison: Comparison, now: float) ->
     for area in observer.partition.areas:
         assessment = observer.assess_area(area.name, now)
         state = observer.watcher.state_of(area.name)
-        found.append(make_area_result(area, state, comparison, assessment.quality, assessment.notes))
+        silent_s = observer.watcher.age_of(area.name, now)
+        found.append(make_area_result(area, state, comparison, assessment.quality, assessment.notes, silent_s))
     return tuple(found)
 
 
 def make_area_result(
-    area: Area, state: StateMessage | None, comparison: Comparison, quality: str, notes: tuple[str, ...]
+    area: Area,
+    state: StateMessage | None,
+    comparison: Comparison,
+    quality: str,
+    notes: tuple[str, ...],
+    silent_s: float = 0.0,
 ) -> AreaResult:
-    """The row of ``area`` by its last ``state``, None without one."""
+    """The row of ``area`` by its last ``state``, received ``silent_s`` ago; None without one."""
     gap, error = comparison.gap_of(area.name), comparison.error_of(area.name)
     estimated = state is not None and bool(state.buses)
+    freshness = find_freshness(quality, state.telemetry_age + silent_s if state else math.nan, has_estimate=estimated)
     return AreaResult(
         name=area.name,
         buses=len(area.network.buses),
@@ -147,6 +172,8 @@ def make_area_result(
         critical=state.critical if state else (),
         notes=notes,
         quality=quality,
+        value_age_s=freshness.value_age_s if estimated else None,
+        fresh=freshness.fresh,
     )
 
 
@@ -172,6 +199,7 @@ def as_json(result: RunOutcome) -> dict[str, Any]:
         "run": result.run,
         "verdict": asdict(result.verdict),
         "causes": describe_causes(result.causes),
+        "summary": describe_summary(result.summary),
         "areas": {area.name: _area_json(area) for area in result.area_results},
         "centralised": _centralised_json(result),
         "timing_s": dict(result.timing_s),

@@ -17,6 +17,7 @@ from dsse_core.grid.network import Network
 from dsse_core.results.deviations.choose import Deviations, find_deviations
 from dsse_core.results.results import MeterReadings, Results, assemble_results, no_deviations, readings_of_estimate
 from dsse_core.results.state import GridState, join_states
+from dsse_core.results.table import Freshness
 from dsse_core.results.totals import Division, division_of, find_totals
 
 AreaFigures = Mapping[str, Any]
@@ -57,9 +58,14 @@ def make_run_tables(
         beside,
         division,
         _figures_of(areas),
-        [area["quality"] for area in areas],
+        [_freshness_of(area) for area in areas],
         comparison.label,
     )
+
+
+def _freshness_of(area: Mapping[str, Any]) -> Freshness:
+    age_s = area["value_age_s"]
+    return Freshness(area["quality"], np.nan if age_s is None else age_s, area["fresh"])
 
 
 def _find_deviations(

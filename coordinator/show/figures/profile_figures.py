@@ -39,12 +39,16 @@ class Profile:
 
 
 def find_profile(outcome: RunOutcome) -> Profile:
-    """The profile of a run: the truth where it is known, the centralised and the decentralised estimate."""
-    comparison = outcome.comparison
+    """The profile of a run: the truth where it is known, the centralised and the decentralised estimate, of which only
+    fresh numbers are shown.
+    """
+    comparison, fresh = outcome.comparison, outcome.buses.fresh
+    found = comparison.decentralised
+    of_areas = (np.where(fresh, column, np.nan) for column in (found.vm, found.va))
     shown = {
         **({"true (power flow)": (comparison.truth, TRUE)} if comparison.knows_truth else {}),
         "centralised estimate": (comparison.centralised, CENTRALISED),
-        "decentralised estimate": (comparison.decentralised, DECENTRALISED),
+        "decentralised estimate": (Voltages(*of_areas), DECENTRALISED),
     }
     return Profile(outcome.scenario.network, shown, outcome.scenario.operating_limits)
 
@@ -60,7 +64,9 @@ def draw_magnitudes(profile: Profile) -> Drawing:
     ids = profile.network.table.bus_id
     lowest, highest = int(np.nanargmin(vm)), int(np.nanargmax(vm))
     beyond = int((vm < low).sum() + (vm > high).sum())
-    facts = (
+    known = int(np.isfinite(vm).sum())
+    facts = "" if known == len(vm) else f"Of {len(vm)} buses {known} known. "
+    facts += (
         f"Lowest: {vm[lowest]:.4f} p.u. at bus {ids[lowest]}; highest: {vm[highest]:.4f} p.u. at bus {ids[highest]}. "
         f"Limits: {low:g} and {high:g} p.u.; {beyond or 'no'} bus{'' if beyond == 1 else 'es'} beyond them."
     )

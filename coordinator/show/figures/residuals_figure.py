@@ -19,7 +19,6 @@ from coordinator.show.figures.style import (
     new_figure,
     write_instead,
 )
-from dsse_core.estimation.residuals import THRESHOLD
 from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.results.meters import REMOVED, read_in_own_units
 from dsse_core.results.table import Table
@@ -40,7 +39,7 @@ SPREAD = 0.8  # part of a kind's width that its meters take
 
 def draw_residuals(outcome: RunOutcome) -> Drawing:
     """Figure of each meter's normalised residual; where none is known, of |residual| / sigma of the meter."""
-    meters = outcome.meters
+    meters, limit = outcome.meters, outcome.scenario.operating_limits.most_residual
     values, normalised = find_residuals(meters)
     removed = np.array([status == REMOVED for status in meters.status], dtype=bool)
     kinds = [kind for kind in WORDS if kind in set(meters.kind)]
@@ -54,11 +53,9 @@ def draw_residuals(outcome: RunOutcome) -> Drawing:
     if np.isnan(values).all():
         write_instead(axis, "no residual is known")
     else:
-        axis.set_ylim(bottom=0, top=1.08 * max(THRESHOLD, float(np.nanmax(values))))
+        axis.set_ylim(bottom=0, top=1.08 * max(limit, float(np.nanmax(values))))
     if normalised:
-        axis.axhline(
-            THRESHOLD, color=PURPLE, linestyle="dashed", linewidth=1.5, label=f"limit of bad data, {THRESHOLD:g}"
-        )
+        axis.axhline(limit, color=PURPLE, linestyle="dashed", linewidth=1.5, label=f"limit, {limit:g}")
     for edge in range(1, len(kinds)):
         axis.axvline(edge - 0.5, color=GREY, linewidth=0.6, alpha=0.5)
     axis.set_xticks(range(len(kinds)), [WORDS[kind] for kind in kinds], fontsize="small")
@@ -67,7 +64,7 @@ def draw_residuals(outcome: RunOutcome) -> Drawing:
     axis.set_ylabel("normalised residual" if normalised else "residual by standard deviation of the meter")
     axis.grid(axis="y", alpha=0.3)
     figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize="small")
-    return Drawing("residuals", "Residuals of the meters", _describe(meters, values, by, normalised), figure)
+    return Drawing("residuals", "Residuals of the meters", _describe(meters, values, by, normalised, limit), figure)
 
 
 def find_residuals(meters: Table) -> tuple[np.ndarray, bool]:
@@ -104,7 +101,7 @@ def _name_removed(axis: Axes, x: np.ndarray, values: np.ndarray, meters: Table, 
             axis.annotate(name, (x[k], values[k]), place, textcoords="offset points", ha=align, va="center", fontsize=8)
 
 
-def _describe(meters: Table, values: np.ndarray, by: str, normalised: bool) -> str:
+def _describe(meters: Table, values: np.ndarray, by: str, normalised: bool, limit: float) -> str:
     known = int((~np.isnan(values)).sum())
     text = f"Each meter's reading minus estimate, as a multiple of {by}; {known} of {len(meters)} meters have one."
     if known == 0:
@@ -112,8 +109,8 @@ def _describe(meters: Table, values: np.ndarray, by: str, normalised: bool) -> s
     largest = int(np.nanargmax(values))
     text += f" Largest: {values[largest]:.2f}, {meters.meter[largest]}."
     if normalised:
-        above = int((values > THRESHOLD).sum())
-        text += f" {above} above the limit of {THRESHOLD:g}, beyond which a reading is suspect."
+        above = int((values > limit).sum())
+        text += f" {above} above the limit of {limit:g}, beyond which a reading is suspect."
     else:
         text += " Normalised residuals are not known: the areas' standard deviations differ from the centralised ones."
     return text

@@ -18,6 +18,7 @@ from coordinator.show.report.text import (
     tabulate_areas,
     tabulate_gaps,
 )
+from coordinator.watch.observe.view_text import write_summary
 from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.printable import printable, shortened
 from dsse_core.results.meters import UNIT, read_in_own_units
@@ -43,6 +44,7 @@ OF_BUSES: tuple[Column, ...] = (
     ("true angle (degrees)", "true_va_deg", ".4f"),
     ("injection (kW)", "p_kw", ".2f"),
     ("injection (kvar)", "q_kvar", ".2f"),
+    ("quality", "quality", ""),
 )
 OF_BRANCHES: tuple[Column, ...] = (
     ("branch", "branch", ""),
@@ -55,6 +57,7 @@ OF_BRANCHES: tuple[Column, ...] = (
     ("current (A)", "i_from_a", ".2f"),
     ("losses (kW)", "loss_kw", ".3f"),
     ("loading (%)", "loading_percent", ".1f"),
+    ("quality", "quality", ""),
 )
 OF_METERS: tuple[Column, ...] = (
     ("meter", "meter", ""),
@@ -77,6 +80,7 @@ OF_AREAS: tuple[Column, ...] = (
     ("removed meters", "removed", "d"),
     ("critical meters", "critical", "d"),
     ("quality", "quality", ""),
+    ("age (s)", "value_age_s", ".1f"),
 )
 
 
@@ -99,7 +103,7 @@ def make_run_page(result: RunResult, drawings: Sequence[Drawing], arguments: Seq
         outcome=outcome[:1].upper() + outcome[1:],
         good=verdict.consensus,
         reasons=[*map(str, result.causes), *(verdict.reason or "").splitlines()],
-        findings=list_findings(result),
+        findings=[*write_summary(result.summary), *list_findings(result)],
         tables=[
             PageTable("Gaps and errors", *tabulate_gaps(result)),
             PageTable("Areas", *tabulate_areas(result)),

@@ -163,7 +163,7 @@ class Moments:
         if branches is not None:
             of["branch"].take(at, branches.branch, _find_fresh(branches, of["branch"].columns))
         of["meter"].take(at, meters["meter"], _find_fresh(meters, of["meter"].columns))
-        fresh = [area if area.freshness.is_fresh else AreaView(area.name, area.present, None) for area in view.areas]
+        fresh = [area if area.freshness.fresh else AreaView(area.name, area.present, None) for area in view.areas]
         areas = {
             "quality": [_number_quality(area.quality) for area in view.areas],
             "lowest_vm_pu": [np.nan if area.lowest_vm is None else area.lowest_vm.value for area in fresh],

@@ -200,7 +200,7 @@ def _list_areas(view: View, watcher: Watcher) -> Iterator[Metric]:
 
 def _numbers_of(area: AreaView, state: StateMessage | None) -> dict[str, float]:
     """Gauges of one area, without unknown ones."""
-    is_fresh = area.freshness.is_fresh
+    is_fresh = area.freshness.fresh
     known = {"present": float(area.present), "fresh": float(is_fresh), "state_age_seconds": area.age_s}
     if state is not None:
         known |= {

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from agents.messages.packing import StateMessage
-from coordinator.watch.observe.freshness import add_freshness, freshness_of_state
+from coordinator.watch.observe.freshness import freshness_of_state
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.boundary import Kind
 from dsse_core.grid.partition import Area
@@ -16,7 +17,7 @@ from dsse_core.printable import listed
 from dsse_core.results.branches import make_branch_table
 from dsse_core.results.buses import make_bus_table
 from dsse_core.results.state import GridState, find_state
-from dsse_core.results.table import ScanLabel, Table
+from dsse_core.results.table import ScanLabel, Table, mark_rows
 
 MOST_NAMED = 12
 
@@ -48,14 +49,16 @@ def make_area_flows(area: Area, state: StateMessage) -> tuple[Table, Table]:
     deviations = sigma_vm, sigma_va if state.referenced else unknown, np.full((2, len(vm)), np.nan)
     label = ScanLabel(str(state.header.scan), state.taken_at or math.nan)
     compared = {"decentralised": (shown.vm, shown.va)}
-    areas, freshness = [area.name] * len(vm), {area.name: freshness_of_state(state)}
-    buses = make_bus_table(shown, areas, compared, *deviations, label)
-    branches = make_branch_table(network, found.branches, found.flows, label=label)
-    why = [problems.get(bus, "") for bus in network.row]
-    return (
-        add_freshness("buses", buses, areas, freshness, injection_problem=why),
-        add_freshness("branches", branches, [area.name] * len(branches), freshness),
-    )
+    of_buses, of_branches = (mark_rows([freshness_of_state(state)] * n) for n in (len(vm), len(network.branches)))
+    buses = make_bus_table(shown, [area.name] * len(vm), compared, *deviations, label, of_buses)
+    branches = make_branch_table(network, found.branches, found.flows, label=label, marks=of_branches)
+    return add_problems(buses, problems), branches
+
+
+def add_problems(buses: Table, problems: Mapping[int, str]) -> Table:
+    """The table with the column ``injection_problem``; ``problems``: bus -> the reason that has no injection."""
+    why = [problems.get(bus, "") for bus in buses.bus.tolist()]
+    return Table("buses", {name: buses[name] for name in buses.columns} | {"injection_problem": why})
 
 
 def _find_own_injections(area: Area, state: StateMessage, found: GridState) -> tuple[GridState, dict[int, str]]:

@@ -3,41 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from typing import Any
-
-import numpy as np
 
 from agents.messages.packing import StateMessage
 from agents.protocol.quality import DEGRADED, GOOD, NONE, RELATIVE_ANGLE
-from dsse_core.results.table import Table
+from dsse_core.results.table import Freshness, mark_rows
 
-FRESH = frozenset((GOOD, DEGRADED, RELATIVE_ANGLE))  # qualities of a state that describes the present
-
-
-@dataclass(frozen=True, slots=True)
-class Freshness:
-    """Quality and age of all numbers of an area at one moment; without an estimate the age is nan.
-
-    ``value_age_s``: time since the area has received the telemetry on which they rest, s.
-    """
-
-    quality: str = NONE
-    value_age_s: float = math.nan
-
-    @property
-    def is_fresh(self) -> bool:
-        """True for numbers of the present, which count as known; others are shown with their age."""
-        return self.quality in FRESH and not math.isnan(self.value_age_s)
-
-
-NOT_KNOWN = Freshness()
+OF_THE_PRESENT = frozenset((GOOD, DEGRADED, RELATIVE_ANGLE))  # qualities
+NOT_KNOWN = Freshness(NONE, math.nan, fresh=False)
 
 
 def find_freshness(quality: str, telemetry_age_s: float, *, has_estimate: bool) -> Freshness:
-    """The freshness of numbers of a state of ``quality``, which is stale where its area is gone or silent."""
-    return Freshness(quality, telemetry_age_s if has_estimate else math.nan)
+    """The freshness of all numbers of a state of ``quality``, which is stale where its area is gone or silent."""
+    if not has_estimate:
+        return NOT_KNOWN._replace(quality=quality)
+    return Freshness(quality, telemetry_age_s, quality in OF_THE_PRESENT)
 
 
 def freshness_of_state(state: StateMessage) -> Freshness:
@@ -45,18 +26,6 @@ def freshness_of_state(state: StateMessage) -> Freshness:
     return find_freshness(state.quality, state.telemetry_age, has_estimate=bool(state.buses))
 
 
-def add_freshness(
-    title: str, table: Table, areas: Iterable[str], freshness: Mapping[str, Freshness], **more: Sequence[str]
-) -> Table:
-    """``table`` with the columns of ``describe_freshness`` and ``more``."""
-    return Table(title, {name: table[name] for name in table.columns} | describe_freshness(areas, freshness) | more)
-
-
 def describe_freshness(areas: Iterable[str], freshness: Mapping[str, Freshness]) -> dict[str, Any]:
     """Columns ``quality``, ``value_age_s`` and ``fresh`` of rows whose numbers are of ``areas``."""
-    of_rows = [freshness.get(area, NOT_KNOWN) for area in areas]
-    return {
-        "quality": [each.quality for each in of_rows],
-        "value_age_s": np.array([each.value_age_s for each in of_rows], dtype=float),
-        "fresh": np.array([each.is_fresh for each in of_rows], dtype=bool),
-    }
+    return mark_rows([freshness.get(area, NOT_KNOWN) for area in areas])

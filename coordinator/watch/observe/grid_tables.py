@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.messages.packing import ReadingsMessage, StateMessage
-from coordinator.watch.observe.freshness import NOT_KNOWN, Freshness, add_freshness, describe_freshness
+from coordinator.watch.observe.area_flows import add_problems
+from coordinator.watch.observe.freshness import NOT_KNOWN, describe_freshness
 from coordinator.watch.observe.view import View
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.grid.measurement import Meter, Source
@@ -21,7 +22,7 @@ from dsse_core.results.buses import make_bus_table
 from dsse_core.results.flows import Flows
 from dsse_core.results.meters import UNIT, find_unit_sizes
 from dsse_core.results.state import AreaVoltages, join_states
-from dsse_core.results.table import PHASE, Table
+from dsse_core.results.table import PHASE, Freshness, Table
 from dsse_core.results.totals import division_of
 from dsse_core.results.units import wrap_degrees
 from scenarios.scenario import Scenario
@@ -182,13 +183,11 @@ class GridTables:
         problems = self._find_injection_problems(fitting, freshness)
         unknown = np.isin(state.network.table.bus_id, list(problems))
         state = replace(state, injection=np.where(unknown, complex(np.nan, np.nan), state.injection))
-        buses = make_bus_table(state, areas, {}, sigma[0], sigma[1], np.full((2, n), np.nan))
-        branches = make_branch_table(state.network, state.branches, state.flows)
-        why = [problems.get(bus, "") for bus in buses.bus.tolist()]
-        return (
-            add_freshness("buses", buses, areas, freshness, injection_problem=why),
-            add_freshness("branches", branches, self._holders, freshness),
-        )
+        marks, unknown = describe_freshness(areas, freshness), np.full((2, n), np.nan)
+        buses = make_bus_table(state, areas, {}, sigma[0], sigma[1], unknown, marks=marks)
+        marks = describe_freshness(self._holders, freshness)
+        branches = make_branch_table(state.network, state.branches, state.flows, marks=marks)
+        return add_problems(buses, problems), branches
 
     @cached_property
     def _holders(self) -> list[str]:
@@ -202,7 +201,7 @@ class GridTables:
         limits = self.scenario.tolerances.consensus_vm_pu, self.scenario.tolerances.consensus_va_rad
         for bus, (owner, *others) in self.partition.boundaries.items():
             seen = [states.get(name) for name in (owner, *others)]
-            fresh = [freshness.get(name, NOT_KNOWN).is_fresh for name in (owner, *others)]
+            fresh = [freshness.get(name, NOT_KNOWN).fresh for name in (owner, *others)]
             for name, state, is_fresh in zip((owner, *others), seen, fresh, strict=True):
                 if state is None or seen[0] is None:
                     found.setdefault(bus, f"{owner if seen[0] is None else name} has no estimate")

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from agents.protocol.quality import NONE
-from coordinator.watch.observe.freshness import Freshness, find_freshness
+from coordinator.watch.observe.freshness import find_freshness
 from coordinator.watch.observe.notes import Noted
+from dsse_core.results.table import Freshness
 
 OVER_S = 2.0  # an incarnation silent for so long is over; a watcher does not know the heartbeat
 

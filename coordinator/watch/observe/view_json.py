@@ -32,7 +32,7 @@ def describe_causes(causes: Iterable[Cause]) -> list[dict[str, Any]]:
 def _describe_area(area: AreaView) -> dict[str, Any]:
     values = {name: getattr(area, name) for name in OF_AREA}
     described = {name: _describe_extreme(v) if isinstance(v, Extreme) else v for name, v in values.items()}
-    age_s, is_fresh = area.freshness.value_age_s, area.freshness.is_fresh
+    age_s, is_fresh = area.freshness.value_age_s, area.freshness.fresh
     return {"state": area.state, "fresh": is_fresh, "value_age_s": None if math.isnan(age_s) else age_s} | described
 
 

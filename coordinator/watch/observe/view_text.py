@@ -105,7 +105,7 @@ def _write_view(view: View, width: int, summary: Summary | None) -> Iterator[tup
     title = f"run {view.run}, scan {scan}: {_count(len(qualities), 'area')}, {listed(counts) or 'nobody is there'}"
     yield from ((line, "bold") for line in _wrap(title, width))
     strangers = [f"{view.strangers} more are announced as areas and not shown"] if view.strangers else []
-    of_grid = _write_summary(summary) if summary else ()
+    of_grid = write_summary(summary) if summary else ()
     remarks = *of_grid, _write_others(view), *strangers, *view.duplicates[:MOST_LISTED], *view.other_versions
     for remark in (*remarks, *_write_splits(view.areas)):
         yield from ((line, "") for line in _wrap(remark, width))
@@ -125,7 +125,7 @@ def _write_view(view: View, width: int, summary: Summary | None) -> Iterator[tup
         yield f"... and {len(view.areas) - MOST_AREAS} areas more: --json has all", ""
 
 
-def _write_summary(summary: Summary) -> Iterator[str]:
+def write_summary(summary: Summary) -> Iterator[str]:
     """Sentences on the voltages and loadings of the present, and on the powers of the grid."""
     voltage, loading, head = summary.voltage, summary.loading, summary.head
     yield _describe_extent(voltage, "buses", ".3f", " p.u.")
@@ -194,7 +194,7 @@ def _remarks(area: AreaView, scan: int) -> Iterator[str]:
     """The scan of an area where it is not the newest, and its notes, the worst first."""
     if 0 < area.scan != scan:
         yield f"works on scan {area.scan}"
-    if area.estimated and not area.freshness.is_fresh:
+    if area.estimated and not area.freshness.fresh:
         yield f"its numbers are {area.freshness.value_age_s:.0f} s old"
     own_quality = f" (it said {area.said_quality})" if area.quality != area.said_quality else ""
     for k, note in enumerate(area.notes[:MOST_NOTES]):

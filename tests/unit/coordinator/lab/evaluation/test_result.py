@@ -19,6 +19,7 @@ from coordinator.lab.evaluation.result import RunResult, as_json, make_area_resu
 from coordinator.lab.evaluation.verdict import make_verdict
 from coordinator.lab.simulator.simulate import simulate_scenario
 from coordinator.show.report.run_files import write_report
+from coordinator.show.report.run_report import make_run_page
 from coordinator.show.report.text import format_verdict
 from coordinator.watch.observe.observer import Observer
 from dsse_core.estimation.bad_data import process_bad_data
@@ -95,6 +96,22 @@ def test_the_verdict_has_every_documented_key_and_the_gap_that_was_put_in(tmp_pa
     assert verdict["error_vm_pu"] == content["centralised"]["error_vm_pu"]
     assert (verdict["exchanges"], verdict["messages"], verdict["bytes"], verdict["lost"]) == (3, 15, 1500, 3)
     assert verdict["wall_s"] == 1.0
+
+
+def test_numbers_of_an_area_that_has_published_nothing_are_not_fresh_and_counted_as_unknown(tmp_path: Path):
+    result = a_result(tmp_path, missing="area2")
+    content = as_json(result)
+    fresh = {name: (area["fresh"], area["value_age_s"] is None) for name, area in content["areas"].items()}
+    assert fresh == {"area1": (True, False), "area2": (False, True), "area3": (True, False)}
+    buses = result.buses
+    of_area2 = np.array(buses.area) == "area2"
+    assert buses.fresh.tolist() == (~of_area2).tolist()
+    assert {quality for area, quality in zip(buses.area, buses.quality, strict=True) if area == "area2"} == {"none"}
+    voltage = content["summary"]["voltage"]
+    assert (voltage["known"], voltage["total"]) == (33 - of_area2.sum(), 33)
+    assert content["summary"]["loss"]["known"] < content["summary"]["loss"]["total"]
+    page = make_run_page(result, [], [])
+    assert any(line.startswith(f"of 33 buses {voltage['known']} known, within limits") for line in page.findings)
 
 
 def test_no_gap_of_the_verdict_is_lost_by_rounding_in_a_file(tmp_path: Path):

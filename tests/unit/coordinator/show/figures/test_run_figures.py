@@ -163,7 +163,7 @@ def test_residuals_stand_at_their_kind_beside_the_limit(result: RunResult) -> No
     (axis,) = axes_of(draw_residuals(result))
     drawn = line(axis, "meter in use")
     assert sorted(np.asarray(drawn.get_ydata())) == pytest.approx(sorted(result.meters.normalised_residual))
-    assert set(np.asarray(line(axis, "limit of bad data, 3").get_ydata())) == {3.0}
+    assert set(np.asarray(line(axis, "limit, 3").get_ydata())) == {3.0}
     names = [text.get_text().replace("\n", " ") for text in axis.get_xticklabels()]
     assert names == ["voltage magnitude", "active injection", "reactive injection", "active flow", "reactive flow"]
     first = np.round(np.asarray(drawn.get_xdata())).astype(int)
@@ -194,7 +194,7 @@ def test_without_normalised_residuals_those_by_the_meters_deviation_are_drawn_an
     drawn = np.asarray(line(axis, "meter in use").get_ydata())
     assert sorted(drawn[~np.isnan(drawn)]) == pytest.approx(sorted(expected))
     assert "standard deviation of the meter" in axis.get_ylabel()
-    assert "limit of bad data, 3" not in {each.get_label() for each in axis.lines}
+    assert "limit, 3" not in {each.get_label() for each in axis.lines}
 
 
 def test_the_network_is_coloured_by_voltage_and_unknown_buses_are_grey(result: RunResult) -> None:

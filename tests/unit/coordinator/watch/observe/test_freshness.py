@@ -58,8 +58,8 @@ def look(watcher: Watcher, known: GridTables | None, now: float) -> Tables:
 @pytest.mark.parametrize("quality", QUALITIES)
 def test_numbers_are_of_the_present_exactly_where_their_state_is(quality: str):
     is_fresh = quality in ("good", "degraded", "relative-angle")
-    assert find_freshness(quality, 3.0, has_estimate=True).is_fresh == is_fresh
-    assert not find_freshness(quality, 3.0, has_estimate=False).is_fresh
+    assert find_freshness(quality, 3.0, has_estimate=True).fresh == is_fresh
+    assert not find_freshness(quality, 3.0, has_estimate=False).fresh
 
 
 def test_an_area_that_is_gone_keeps_its_numbers_with_their_age_and_none_of_them_counts(solved):
