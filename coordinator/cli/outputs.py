@@ -112,6 +112,7 @@ def write_files(folder: Path, parquet: bool, tables: Tables, content: dict[str, 
     """Write ``content`` as result.json, and the tables, with ``parquet`` also as Parquet."""
     from coordinator.watch.tables.table_files import write_json, write_parquet, write_tables
 
+    _ = tables.buses  # made before anything is written: of many scans they may be too large
     write_json(folder / "result.json", content)
     write_tables(folder, tables)
     if parquet:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
@@ -10,10 +10,13 @@ from typing import ClassVar
 
 import numpy as np
 
+from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.batch import BatchResult
 from dsse_core.results.columns import ScanColumns
 from dsse_core.results.results import TABLES, Results, WithTables
 from dsse_core.results.table import Table, as_times
+
+MOST_CELLS = 200_000_000  # of all tables together: 1.6 GB, twice while they are put together
 
 
 @dataclass(frozen=True, repr=False)
@@ -24,7 +27,7 @@ class ScanTables(WithTables):
 
     names: ClassVar = ("scans", *TABLES)
     scans: Table
-    make_results: Callable[[], Sequence[Results]]
+    make_results: Callable[[], Iterable[Results]]
 
     def __repr__(self) -> str:
         failed = self.scans.status.count("failed")
@@ -35,13 +38,26 @@ class ScanTables(WithTables):
 
     @cached_property
     def tables(self) -> Results:
-        """The rows of all scans."""
+        """The rows of all scans.
+
+        Raises:
+            InvalidInputError: they have more than MOST_CELLS.
+        """
         by_name: dict[str, list[Table]] = {name: [] for name in TABLES}
-        for results in self.make_results():
+        for number, results in enumerate(self.make_results()):
             for name, tables in by_name.items():
                 tables.append(getattr(results, name))
-        buses, branches, meters, areas = (_stack(name, tables) for name, tables in by_name.items())
+            if number == 0:
+                self._check_size([tables[0] for tables in by_name.values()])
+        buses, branches, meters, areas = (_stack(name, by_name.pop(name)) for name in TABLES)
         return Results(buses, branches, lambda: meters, lambda: areas)
+
+    def _check_size(self, of_one: Sequence[Table]) -> None:
+        """Check by the tables of one scan that those of all have at most MOST_CELLS."""
+        cells = len(self.scans) * sum(len(table) * len(table.columns) for table in of_one)
+        if cells > MOST_CELLS:
+            problem = f"their tables have {cells:,} cells, the limit is {MOST_CELLS:,}; divide the readings into files"
+            raise InvalidInputError(f"{len(self.scans):,} scans", [f"{problem} of fewer scans"])
 
 
 def _stack(title: str, tables: Sequence[Table]) -> Table:

@@ -77,7 +77,7 @@ class ScanEstimates:
         readings = (~np.isnan(self.scans.values)).sum(axis=1)
         of_meters = self.removed, self.undecided, self.bad_data_left
         scans = make_scan_table(self.names, self.scans.times, self.batch, self.limits, readings, *of_meters)
-        return ScanTables(scans, lambda: [self._results_of(row) for row in range(len(self.names))])
+        return ScanTables(scans, lambda: map(self._results_of, range(len(self.names))))
 
     def _results_of(self, row: int) -> Results:
         label = ScanLabel(self.names[row], self.scans.times[row])

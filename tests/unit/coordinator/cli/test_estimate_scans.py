@@ -130,6 +130,18 @@ def test_tables_of_many_scans_are_written_and_the_meters_are_readings_again(tmp_
         assert float(ours["objective"]) == pytest.approx(float(theirs["objective"]), rel=1e-9)
 
 
+def test_tables_that_are_too_large_are_one_error_before_anything_is_written(
+    tmp_path: Path, dsse: Dsse, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_scans(tmp_path, {"a": readings_of(1), "b": readings_of(2)})
+    monkeypatch.setattr("dsse_core.results.scans.MOST_CELLS", 10_000)
+    code, _, err = dsse("estimate", "ieee33", "--readings", str(path), "--out", str(tmp_path / "out"))
+    assert code == 2
+    assert "the limit is 10,000; divide the readings" in err
+    assert not (tmp_path / "out").exists()
+    assert dsse("estimate", "ieee33", "--readings", str(path), "--csv", "scans")[0] == 0
+
+
 def test_a_scan_without_estimate_is_named_and_the_others_are_estimated(tmp_path: Path, dsse: Dsse) -> None:
     few = [m for m in readings_of(2) if m.meter.kind == "vm"]
     path = write_scans(tmp_path, {"a": readings_of(1), "b": few, "c": readings_of(3)})
