@@ -28,6 +28,8 @@ test("an alarm whose figures change stays the one that was acknowledged", () => 
   const seen = updateAlarms([], [cause("1 line at 112 %", { since: null, branches: ["1-2"] })], 5, 1).map((alarm) => ({ ...alarm, acknowledged: true }));
   const [later, ...others] = updateAlarms(seen, [cause("1 line at 115 %", { since: null, branches: ["1-2"] })], 9, 1);
   assert.deepEqual([later.what, later.since, later.acknowledged, others.length], ["1 line at 115 %", 5, true, 0]);
+  const [spread] = updateAlarms([later], [cause("2 lines at 115 %", { since: null, branches: ["1-2", "7-8"] })], 10, 1);
+  assert.deepEqual([spread.acknowledged, spread.since], [false, 5]);
 });
 
 const moment = (causes, qualities) => ({
@@ -37,13 +39,13 @@ const moment = (causes, qualities) => ({
 test("the root cause is said first, then its effects, then further causes", () => {
   const effects = ["b is degraded", "c is degraded", "d is degraded", "e is degraded", "f is degraded"];
   const said = findSaid(moment([cause("a is gone", { effects }), cause("meter m is off", { since: null, action: "" })], ["stale"]));
-  assert.deepEqual([said.state, said.what], ["bad", "✕ a is gone since 3 s: restart its agent."]);
+  assert.deepEqual([said.state, said.what, said.action], ["bad", "✕ a is gone since 3 s", "→ restart its agent"]);
   assert.deepEqual(said.effects, [...effects.slice(0, 4), "1 more effects"]);
-  assert.deepEqual(said.further, ["Also: meter m is off."]);
+  assert.deepEqual(said.further, ["Also: meter m is off"]);
 });
 
 test("without a cause a feeder is sound only if all its areas are good", () => {
-  assert.deepEqual(findSaid(moment([], ["good", "good"])), { state: "good", what: "✓ Nothing is wrong", effects: [], further: ["2 of 2 areas good, 20 of 33 buses known."] });
+  assert.deepEqual(findSaid(moment([], ["good", "good"])), { state: "good", what: "✓ Nothing is wrong", action: "", effects: [], further: ["2 of 2 areas good, 20 of 33 buses known."] });
   assert.deepEqual([moment([], ["good", "none"]), moment([], [])].map((one) => findSaid(one).state), ["degraded", "degraded"]);
 });
 

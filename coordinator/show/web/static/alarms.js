@@ -4,20 +4,25 @@ import { PASSING } from "./cause.js";
 import { byId, element, when } from "./format.js";
 
 /** @typedef {import("./types.js").Moment} Moment @typedef {import("./types.js").Cause} Cause */
-/** @typedef {{key: string, what: string, action: string, since: number|null, over: number|null, acknowledged: boolean}} Alarm */
+/** @typedef {{key: string, places: string[], what: string, since: number|null, over: number|null, acknowledged: boolean}} Alarm */
 
 const MOST_ALARMS = 200;
 const MOST_SHOWN = 30;
 const LEAST_S = 2; // what is over sooner is no alarm any more
 const PLACE = "alarms"; // in what the browser keeps
 
-/** @param {Cause} cause @returns {string} the same for a cause as long as it lasts, whatever figures its words have */
-function keyOf({ kind, areas, buses, branches, meters }) {
-  return JSON.stringify([kind, areas, buses, branches, meters]);
+/** @param {Cause} cause @returns {string} the same for a cause as long as it lasts, whatever figures and places its words have */
+function keyOf({ kind, areas }) {
+  return JSON.stringify([kind, ...areas]);
+}
+
+/** @param {Cause} cause @returns {string[]} */
+function findPlaces({ buses, branches, meters }) {
+  return [...buses.map(String), ...branches, ...meters];
 }
 
 /**
- * The alarms after a moment. One that is over goes if it is acknowledged, or has lasted less than `least` seconds; one
+ * The alarms after a moment. One that spreads to another place is not acknowledged any more. One that is over goes if it is acknowledged, or has lasted less than `least` seconds; one
  * that comes back is new.
  * @param {Alarm[]} before @param {Cause[]} causes @param {number} at @param {number} least @returns {Alarm[]} the newest first
  */
@@ -27,12 +32,13 @@ export function updateAlarms(before, causes, at, least) {
     const cause = now.get(alarm.key);
     if (cause && alarm.over === null) {
       now.delete(alarm.key);
-      return [{ ...alarm, what: cause.what, action: cause.action }];
+      const places = [...new Set([...alarm.places, ...findPlaces(cause)])];
+      return [{ ...alarm, places, what: cause.what, acknowledged: alarm.acknowledged && places.length === alarm.places.length }];
     }
     const over = alarm.over ?? at;
     return alarm.acknowledged || over - (alarm.since ?? at) < least ? [] : [{ ...alarm, over }];
   });
-  const fresh = [...now].map(([key, { what, action, since }]) => ({ key, what, action, since: since ?? at, over: null, acknowledged: false }));
+  const fresh = [...now].map(([key, cause]) => ({ key, places: findPlaces(cause), what: cause.what, since: cause.since ?? at, over: null, acknowledged: false }));
   return [...fresh, ...kept].slice(0, MOST_ALARMS);
 }
 
@@ -40,7 +46,7 @@ export function updateAlarms(before, causes, at, least) {
 function read(run) {
   try {
     const kept = JSON.parse(localStorage.getItem(PLACE) ?? "{}");
-    return kept.run === run ? kept.alarms.filter((/** @type {any} */ alarm) => typeof alarm.key === "string" && typeof alarm.what === "string") : [];
+    return kept.run === run ? kept.alarms.filter((/** @type {any} */ alarm) => typeof alarm.key === "string" && typeof alarm.what === "string" && Array.isArray(alarm.places)) : [];
   } catch {
     return [];
   }

@@ -57,6 +57,11 @@ export function fixed(value, of) {
   return Number(text) === 0 ? text.replace("-", "") : text;
 }
 
+/** @param {string} text @param {number} most characters @returns {string} */
+export function shorten(text, most) {
+  return text.length > most ? `${text.slice(0, most - 1)}…` : text;
+}
+
 /** @param {number} seconds since 1970 @returns {string} local time of day, 0 to 24 h as in a control room */
 export function clock(seconds) {
   return new Date(seconds * 1000).toLocaleTimeString([], { hourCycle: "h23" });

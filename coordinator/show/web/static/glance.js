@@ -1,7 +1,7 @@
 /** What an engineer asks first: voltages, loadings, meters, areas, links, powers; figures of what is fresh only. */
 
 import { placesOf } from "./cause.js";
-import { byId, element, fixed, qualityClass } from "./format.js";
+import { byId, element, fixed, qualityClass, shorten } from "./format.js";
 import { findDeadLinks } from "./links.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Moment} Moment @typedef {import("./types.js").Choice} Choice */
@@ -12,6 +12,7 @@ import { findDeadLinks } from "./links.js";
 
 const MOST_OFFERS = 4; // of a tile
 const MOST_AREAS = 2; // with their reasons
+const LONGEST_REASON = 60; // characters
 const SIGNS = { good: "✓", degraded: "!", bad: "✕", none: "" }; // beside the colour, for who does not see it
 const REJECTED = ["removed", "silent", "off"]; // meters that are not used
 
@@ -46,7 +47,7 @@ function findVoltages({ summary: { voltage } }, { operating_limits: { lowest_vm_
 function findLoadings({ summary: { loading, current } }, { operating_limits: { most_loading_percent: most } }) {
   const title = "Loading", offer = offering("branch", "loading_percent", " %"), strongest = current.highest ? [offering("branch", "i_from_a", " A")(current.highest)] : [];
   if (!loading.total && !current.total) return { title, state: "none", text: "Without a scenario no current is known.", offers: [] };
-  if (!loading.total) return { title, state: "none", text: "No branch has a rating; the largest current:", offers: strongest };
+  if (!loading.total) return { title, state: "none", text: current.known ? "No branch has a rating; the largest current:" : "No current is known.", offers: strongest };
   const rest = loading.known === loading.total ? "" : ` ${knownOf(loading, "branch")}.`;
   if (loading.outside) return { title, state: "bad", text: `${counted(loading.outside, "branch")} above ${most} %.${rest}`, offers: [...loading.worst.slice(0, MOST_OFFERS - 1).map(offer), ...strongest] };
   const text = loading.known ? `At most ${fixed(loading.highest?.value, "loading_percent")} % of ${most} %.${rest}` : rest.trim();
@@ -88,7 +89,7 @@ function findAreas({ view }) {
   if (!poor.length) return { title, state: "good", text: areas.length === 1 ? "The one area is good." : `All ${areas.length} are good.`, offers: [] };
   return {
     title, state: classOf(poor[0][1].quality), text: `${poor.length} of ${areas.length} not good.`,
-    offers: poor.slice(0, MOST_AREAS).map(([id, area]) => ({ label: `${id}: ${area.quality}${area.notes[0] ? `, ${area.notes[0]}` : ""}`, choice: { kind: "area", id } })),
+    offers: poor.slice(0, MOST_AREAS).map(([id, area]) => ({ label: `${id}: ${area.quality}${area.notes[0] ? `, ${shorten(area.notes[0], LONGEST_REASON)}` : ""}`, choice: { kind: "area", id } })),
   };
 }
 

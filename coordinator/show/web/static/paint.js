@@ -1,7 +1,7 @@
 /** Paints the feeder: areas as regions, branches by loading, buses by voltage, dead links, messages. */
 
 import { PASSING, placesOf } from "./cause.js";
-import { entryOf } from "./format.js";
+import { entryOf, shorten } from "./format.js";
 import { findShapes, keepApart, middle, nearest, placeBuses, stepOf, usualLength } from "./layout.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Painting} Painting @typedef {import("./types.js").Palette} Palette */
@@ -86,7 +86,8 @@ function paintNames(canvas) {
   const { context, shapes, at, moment, width } = canvas;
   context.font = `600 ${LABEL - 1}px system-ui, sans-serif`;
   context.textAlign = "left";
-  const flagged = new Set(moment?.cause && placesOf(moment.cause)[0]?.[0] === "area" ? moment.cause.areas.slice(0, 1) : []); // the flag of the cause says more
+  const [place] = moment?.cause ? placesOf(moment.cause) : [];
+  const flagged = new Set(place?.[0] === "area" && place[1].length === 1 ? place[1] : []); // the flag of the cause says more
   const labels = shapes.filter((shape) => shape.rows.length && !flagged.has(shape.name)).map((shape) => {
     const quality = (moment && entryOf(moment.qualities, shape.name)) ?? "none", isGood = quality === "good";
     const text = (isGood ? shape.name : `${shape.name}: ${quality}`).slice(0, LONGEST_LABEL);
@@ -298,16 +299,19 @@ function paintCause(canvas) {
   context.beginPath();
   if (isAtBuses) for (const place of rows) traceBus(context, at[place], LEAST_RINGED + 9);
   context.stroke();
-  const text = shorten(cause.what);
+  const text = shorten(cause.what, LONGEST_FLAG);
   context.font = `700 ${LABEL}px system-ui, sans-serif`;
   context.textAlign = "left";
-  const wide = context.measureText(text).width + 12, left = Math.max(2, Math.min(width - wide - 2, x - wide / 2)), isBelow = y < 64, top = isBelow ? y + 26 : y - 52;
+  const wide = context.measureText(text).width + 12, isBelow = y < 64, isOfMany = !isAtBuses && rows.length > 1;
+  const left = isOfMany ? (width - wide) / 2 : Math.max(2, Math.min(width - wide - 2, x - wide / 2)), top = isOfMany ? 4 : isBelow ? y + 26 : y - 52;
   context.fillStyle = palette.colours["--bad"];
   context.beginPath();
-  context.moveTo(x, isBelow ? y + 8 : y - 8);
-  context.lineTo(Math.max(left, x - 7), isBelow ? top : top + 22);
-  context.lineTo(Math.min(left + wide, x + 7), isBelow ? top : top + 22);
-  context.closePath();
+  if (!isOfMany) { // it points there
+    context.moveTo(x, isBelow ? y + 8 : y - 8);
+    context.lineTo(Math.max(left, x - 7), isBelow ? top : top + 22);
+    context.lineTo(Math.min(left + wide, x + 7), isBelow ? top : top + 22);
+    context.closePath();
+  }
   context.rect(left, top, wide, 22);
   context.fill();
   context.fillStyle = palette.colours["--paper"];
@@ -325,9 +329,4 @@ function findPlaces({ grid, shapes, at, row }, cause) {
     if (rows.length) return rows;
   }
   return [];
-}
-
-/** @param {string} text @returns {string} */
-function shorten(text) {
-  return text.length > LONGEST_FLAG ? `${text.slice(0, LONGEST_FLAG - 1)}…` : text;
 }
