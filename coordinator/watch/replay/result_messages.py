@@ -9,6 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import msgspec
+
 from agents.messages.keys import live_key
 from agents.messages.packing import Header, Incarnation, ReadingsMessage, StateMessage
 from agents.protocol.quality import GOOD, NONE
@@ -40,6 +42,8 @@ class _Scan:
     meters: dict[str, tuple[float, ...]] = field(default_factory=dict)
     status: dict[str, str] = field(default_factory=dict)
     quality: dict[str, str] = field(default_factory=dict)
+    age_s: dict[str, float] = field(default_factory=dict)
+    notes: dict[str, tuple[str, ...]] = field(default_factory=dict)
     reason: str = ""
     objective: float = 0.0
     degrees_of_freedom: int = 0
@@ -132,10 +136,10 @@ class _Messages:
             bytes=0,
             lost=0,
             rejected={},
-            notes=(scan.reason,) if scan.reason else (),
+            notes=(scan.reason,) if scan.reason else scan.notes.get(area.name, ()),
             faults={},
             quality=(scan.quality.get(area.name) or GOOD) if is_known else NONE,
-            telemetry_age=0.0,
+            telemetry_age=_known([scan.age_s.get(area.name, 0.0)])[0],
             ages=dict.fromkeys(neighbours, 0.0),
             scans=dict.fromkeys(neighbours, header.scan),
             old_sides=(),
@@ -168,9 +172,10 @@ def _read_scans(folder: Path) -> dict[str, _Scan]:
         of.status[meter] = row.text("status")
         values = [row.number(*(f"{name}_{unit}" for unit in UNITS)) for name in OF_METERS]
         of.meters[meter] = (*values, row.number("normalised_residual"))
-    for row in _Rows(folder / "areas.csv", ("area", "scan", "quality")):
+    for row in _Rows(folder / "areas.csv", ("area", "scan", "quality", "value_age_s")):
         if (of := scans.get(row.text("scan"))) is not None:
             of.quality[row.text("area")] = row.text("quality")
+            of.age_s[row.text("area")] = row.number("value_age_s")
     if (path := folder / "scans.csv").exists():
         for row in _Rows(path, ("scan", "reason", "objective", "degrees_of_freedom")):
             if (of := scans.get(row.text("scan"))) is not None:
@@ -178,7 +183,28 @@ def _read_scans(folder: Path) -> dict[str, _Scan]:
                 of.objective, freedom = (row.number(name) for name in ("objective", "degrees_of_freedom"))
                 of.objective = 0.0 if math.isnan(of.objective) else of.objective
                 of.degrees_of_freedom = 0 if math.isnan(freedom) else int(freedom)
+    if len(scans) == 1:
+        next(iter(scans.values())).notes = _read_notes(folder / "result.json")
     return scans
+
+
+class _AreaOfRun(msgspec.Struct):
+    notes: tuple[str, ...] = ()
+
+
+class _ResultOfRun(msgspec.Struct):
+    areas: dict[str, _AreaOfRun] = msgspec.field(default_factory=dict)
+
+
+def _read_notes(path: Path) -> dict[str, tuple[str, ...]]:
+    """Notes of each area in the result of a run; none where ``path`` is of another result, or is not there."""
+    if not path.is_file():
+        return {}
+    try:
+        content = msgspec.json.decode(read_text(path).encode(), type=_ResultOfRun)
+    except msgspec.DecodeError as error:
+        raise InvalidInputError(str(path), [f"{error}; give a folder that dsse has written"]) from None
+    return {name: area.notes for name, area in content.areas.items()}
 
 
 class _Rows:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from coordinator.lab.evaluation.result import RunResult
 from coordinator.lab.evaluation.scan_estimates import estimate_scans
 from coordinator.lab.simulator.simulate import simulate_scenario
 from coordinator.show.web.playback.source import play_recording
@@ -98,6 +99,23 @@ def test_the_tables_of_a_run_are_played_as_one_moment(tmp_path: Path) -> None:
     (at,) = asked.get("/api/frames").json()["times"]
     assert at == 0.0
     assert asked.get("/api/now").json()["buses"]["vm_pu"] == np.round(result.buses.vm_pu, 5).tolist()
+
+
+def test_the_tables_of_a_run_keep_what_was_old_and_why(tmp_path: Path) -> None:
+    killed = {"faults.events": [{"at_s": 1.0, "kill": "area2"}], "run.timeout_s": 20.0}
+    result = simulate_scenario(load_scenario("ieee33", changes=killed), out=tmp_path / "run")
+    moment = client(play_recording(tmp_path / "run", SCENARIO, [])).get("/api/now").json()
+    areas = moment["view"]["areas"]
+    assert {name: area["quality"] for name, area in areas.items()} == {
+        area.name: area.quality for area in result.area_results
+    }
+    assert areas["area2"]["quality"] == "stale"
+    assert areas["area1"]["notes"] == list(result.area_results[0].notes)
+    assert moment["summary"]["voltage"]["known"] == 33 - areas_owned(result, "area2")
+
+
+def areas_owned(result: RunResult, area: str) -> int:
+    return int(result.areas.owned_buses[result.areas.area.index(area)])
 
 
 @pytest.mark.parametrize(
