@@ -114,11 +114,9 @@ def write_commands() -> str:
 
 
 def _write_command(words: tuple[str, ...], command: click.Command) -> str:
-    context = click.Context(command)
-    given = [p.make_metavar(context) for p in command.params if isinstance(p, click.Argument)]
-    needed = [
-        f"{p.opts[0]} {p.make_metavar(context)}" for p in command.params if isinstance(p, click.Option) and p.required
-    ]
+    pieces = [] if isinstance(command, click.Group) else command.collect_usage_pieces(click.Context(command))
+    given = [piece for piece in pieces if piece != "[OPTIONS]"]
+    needed = [f"{p.opts[0]} {p.metavar}" for p in command.params if isinstance(p, click.Option) and p.required]
     has_json = any("--json" in p.opts for p in command.params)
     codes = {code: meaning for code, meaning in getattr(command, "codes", {}).items() if code not in OF_ALL}
     if codes.get(0) in (DONE, ENDED):
