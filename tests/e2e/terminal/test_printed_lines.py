@@ -58,7 +58,8 @@ def test_the_page_is_opened_at_the_address_with_the_token_that_serve_prints(dsse
     certificate = ("--tls-cert", "keys/router/router.crt", "--tls-key", "keys/router/router.key")
     with SystemByHand(tmp_path) as system:
         system.start("serve", "serve", "industrial13", "--simulate", "--listen", "127.0.0.1:0", *certificate)
-        system.start("kept", "serve", "industrial13", "--simulate", "--listen", "127.0.0.1:0", "--token-file", "token")
+        here = ("--listen", "127.0.0.1:0", "--token-file", "token", "--name", "feeder.example")
+        system.start("kept", "serve", "industrial13", "--simulate", *here)
         wait_until(lambda: all("open http" in system.read_log(name) for name in ("serve", "kept")))
         plain, kept = (re.findall(r"^open (\S+)$", system.read_log(name), re.M)[-1] for name in ("serve", "kept"))
         trusted = ssl.create_default_context(cafile=str(tmp_path / "keys" / "router" / "authority.crt"))
@@ -66,7 +67,12 @@ def test_the_page_is_opened_at_the_address_with_the_token_that_serve_prints(dsse
             assert browser.get(plain).status_code == 200
             assert browser.get(kept.partition("?")[0]).status_code == 401
             assert browser.get(kept).status_code == 303
-    assert kept.endswith(f"/?token={(tmp_path / 'token').read_text().strip()}")
+            of_proxy = {"host": "feeder.example", "origin": "https://feeder.example"}
+            assert browser.get(kept, headers=of_proxy).status_code == 303
+            assert browser.get(kept, headers={"host": "evil.example"}).status_code == 421
+    token = (tmp_path / "token").read_text().strip()
+    assert kept.endswith(f"/?token={token}")
+    assert f"through a proxy: https://feeder.example/?token={token}\n" in system.read_log("kept")
 
 
 @pytest.mark.skipif(not Path(sys.prefix, "bin", "dsse").exists(), reason="dsse is not installed")
