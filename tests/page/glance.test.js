@@ -5,7 +5,10 @@ import { test } from "node:test";
 
 import { findTiles, findWorst } from "./static/glance.js";
 
-const grid = { operating_limits: { lowest_vm_pu: 0.9, highest_vm_pu: 1.1, most_loading_percent: 100, most_residual: 3 } };
+const grid = {
+  operating_limits: { lowest_vm_pu: 0.9, highest_vm_pu: 1.1, most_loading_percent: 100, most_residual: 3 },
+  buses: { id: [1, 2, 3, 4, 5, 6], area: ["a", "a", "a", "b", "b", "b"] }, branches: { id: ["1-2", "2-3"], area: ["a", "b"] },
+};
 const at = (where, value) => ({ at: where, value });
 const spread = (total, lowest, highest, more = {}) => ({ known: total, total, outside: 0, worst: [], lowest, highest, ...more });
 const total = (p, known = 1, of = known) => ({ known, total: of, p_kw: p, q_kvar: 0 });
@@ -27,7 +30,7 @@ test("a feeder on which nothing is wrong", () => {
   assert.equal(tiles.Voltage.text, "All 6 buses within 0.9 to 1.1 p.u.");
   assert.deepEqual(tiles.Voltage.offers.map(({ label }) => label), ["5: 0.9500", "2: 1.0100"]);
   assert.deepEqual(tiles.Loading.offers.map(({ label }) => label), ["2-3: 83.3 %", "2-3: 210.0 A"]);
-  assert.deepEqual(tiles.Meters.offers, [{ label: "m1, reads 100.00 for 98.75", choice: { kind: "meter", id: "m1" } }]);
+  assert.deepEqual(tiles.Meters.offers, [{ label: "m1, reads 100.00 kW, estimated 98.75", choice: { kind: "meter", id: "m1" } }]);
   assert.equal(tiles.Areas.text, "All 2 are good.");
   assert.equal(tiles.Power.text, "head: 3926.5 kW\nload: 3715.3 kW\nlosses: 211.2 kW");
 });
@@ -52,10 +55,16 @@ test("what is not known now is not called good, and is counted", () => {
   assert.equal(tilesOf({ of: { loading: spread(0, null, null) } }).Loading.text, "No branch has a rating; the largest current:");
 });
 
+test("a number of an area that is not good says so", () => {
+  const { Voltage, Loading } = tilesOf({ view: { areas: { a: area("good"), b: area("degraded") } } });
+  assert.deepEqual(Voltage.offers.map(({ label }) => label), ["5: 0.9500 (degraded)", "2: 1.0100"]);
+  assert.equal(Loading.offers[0].label, "2-3: 83.3 % (degraded)");
+});
+
 test("removed meters are named with reading and estimate", () => {
   const { Meters } = tilesOf({ meter_counts: { used: 2, removed: 1, silent: 3 }, view: { areas: { a: area("good", ["m9"]) } } });
   assert.deepEqual([Meters.state, Meters.text], ["bad", "1 removed, 3 silent. Largest normalised residual 2.50 of 3."]);
-  assert.deepEqual(Meters.offers.map(({ label }) => label), ["m9 is removed, reads 55.50 for 20.00", "m1, reads 100.00 for 98.75"]);
+  assert.deepEqual(Meters.offers.map(({ label }) => label), ["m9 is removed, reads 55.50 kW, estimated 20.00", "m1, reads 100.00 kW, estimated 98.75"]);
 });
 
 test("a dead link is named, and areas that are not good with their reason, the worst first", () => {

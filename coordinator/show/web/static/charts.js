@@ -39,6 +39,7 @@ export class Profile {
     this.limits = [grid.operating_limits.lowest_vm_pu, grid.operating_limits.highest_vm_pu];
     const known = grid.buses.id.map((_, k) => k).filter((k) => grid.buses.distance[k] !== null);
     this.order = known.sort((a, b) => /** @type {number} */ (grid.buses.distance[a]) - /** @type {number} */ (grid.buses.distance[b]));
+    this.areas = this.order.map((k) => grid.buses.area[k]);
     this.x = this.order.map((k) => /** @type {number} */ (grid.buses.distance[k]));
     const place = new Map(this.order.map((k, n) => [grid.buses.id[k], n])), { branches } = grid;
     /** @type {[number, number][]} */ this.lines = branches.id.flatMap((_, k) => { // branches in service, by the places of their ends
@@ -46,6 +47,7 @@ export class Profile {
       return branches.in_service[k] && from !== undefined && to !== undefined ? [[from, to]] : [];
     });
     /** @type {(number | null)[]} */ this.sigma = [];
+    /** @type {Set<string>} */ this.poor = new Set(); // areas that are not good
     this.chart = new uPlot({
       width: this.holder.clientWidth || 600,
       height: HEIGHT,
@@ -64,6 +66,7 @@ export class Profile {
     const [vm, sigma] = ["vm_pu", "sigma_vm_pu"].map((name) =>
       this.order.map((k) => /** @type {number | null} */ (moment.buses.fresh?.[k] === false ? null : moment.buses[name]?.[k] ?? null)));
     this.sigma = sigma;
+    this.poor = new Set(Object.entries(moment.view.areas).flatMap(([name, area]) => (area.quality === "good" ? [] : [name])));
     this.chart.setData([this.x, vm]);
   }
 
@@ -99,11 +102,12 @@ export class Profile {
       context.lineTo(x[to], y[to]);
     }
     context.stroke();
-    for (const [ink, isOutside, side] of /** @type {[string, boolean, number][]} */ ([["--mark", false, size], ["--bad", true, 1.6 * size]])) {
+    const inks = x.map((_, k) => (vm[k] < low || vm[k] > high ? "--bad" : this.poor.has(this.areas[k]) ? "--degraded" : "--mark"));
+    for (const [ink, side] of /** @type {[string, number][]} */ ([["--mark", size], ["--degraded", size], ["--bad", 1.6 * size]])) {
       context.strokeStyle = context.fillStyle = colour(ink);
       context.beginPath();
       x.forEach((at, k) => {
-        if (y[k] === null || (vm[k] < low || vm[k] > high) !== isOutside) return;
+        if (y[k] === null || inks[k] !== ink) return;
         const sigma = this.sigma[k] ?? 0;
         context.moveTo(at, chart.valToPos(vm[k] - SIGMAS * sigma, "y", true));
         context.lineTo(at, chart.valToPos(vm[k] + SIGMAS * sigma, "y", true));

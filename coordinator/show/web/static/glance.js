@@ -1,7 +1,7 @@
 /** What an engineer asks first: voltages, loadings, meters, areas, links, powers; figures of what is fresh only. */
 
 import { placesOf } from "./cause.js";
-import { byId, element, fixed, qualityClass, shorten } from "./format.js";
+import { byId, element, entryOf, fixed, qualityClass, shorten, unitOf } from "./format.js";
 import { findDeadLinks } from "./links.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Moment} Moment @typedef {import("./types.js").Choice} Choice */
@@ -21,9 +21,16 @@ function counted(count, noun) {
   return `${count} ${noun}${count === 1 ? "" : /(s|ch)$/.test(noun) ? "es" : "s"}`;
 }
 
-/** @param {Choice["kind"]} kind @param {string} column whose digits the value has @param {string} [unit] @returns {(extreme: Extreme) => Offer} */
-function offering(kind, column, unit = "") {
-  return ({ at, value }) => ({ label: `${at}: ${fixed(value, column)}${unit}`, choice: { kind, id: at } });
+/**
+ * Offers of buses or branches, with the quality of their area unless it is good.
+ * @param {Moment} moment @param {Grid} grid @param {"bus"|"branch"} kind @param {string} column whose digits the value has @param {string} [unit]
+ * @returns {(extreme: Extreme) => Offer}
+ */
+function offering({ view }, { buses, branches }, kind, column, unit = "") {
+  return ({ at, value }) => {
+    const area = kind === "bus" ? buses.area[buses.id.indexOf(Number(at))] : branches.area[branches.id.indexOf(at)], quality = entryOf(view.areas, area)?.quality ?? "good";
+    return { label: `${at}: ${fixed(value, column)}${unit}${quality === "good" ? "" : ` (${quality})`}`, choice: { kind, id: at } };
+  };
 }
 
 /** @param {Spread | Total} of @param {string} noun @returns {string} */
@@ -32,8 +39,9 @@ function knownOf({ known, total }, noun) {
 }
 
 /** @param {Moment} moment @param {Grid} grid @returns {Tile} */
-function findVoltages({ summary: { voltage } }, { operating_limits: { lowest_vm_pu: low, highest_vm_pu: high } }) {
-  const title = "Voltage", limits = `${low} to ${high} p.u.`, offer = offering("bus", "vm_pu"), isWhole = voltage.known === voltage.total && voltage.total > 0;
+function findVoltages(moment, grid) {
+  const { summary: { voltage } } = moment, { operating_limits: { lowest_vm_pu: low, highest_vm_pu: high } } = grid;
+  const title = "Voltage", limits = `${low} to ${high} p.u.`, offer = offering(moment, grid, "bus", "vm_pu"), isWhole = voltage.known === voltage.total && voltage.total > 0;
   if (!voltage.known || !voltage.lowest || !voltage.highest) return { title, state: "degraded", text: `${knownOf(voltage, "bus")}.`, offers: [] };
   if (voltage.outside) {
     const rest = isWhole ? "" : ` ${knownOf(voltage, "bus")}.`;
@@ -44,8 +52,9 @@ function findVoltages({ summary: { voltage } }, { operating_limits: { lowest_vm_
 }
 
 /** @param {Moment} moment @param {Grid} grid @returns {Tile} */
-function findLoadings({ summary: { loading, current } }, { operating_limits: { most_loading_percent: most } }) {
-  const title = "Loading", offer = offering("branch", "loading_percent", " %"), strongest = current.highest ? [offering("branch", "i_from_a", " A")(current.highest)] : [];
+function findLoadings(moment, grid) {
+  const { summary: { loading, current } } = moment, { operating_limits: { most_loading_percent: most } } = grid;
+  const title = "Loading", offer = offering(moment, grid, "branch", "loading_percent", " %"), strongest = current.highest ? [offering(moment, grid, "branch", "i_from_a", " A")(current.highest)] : [];
   if (!loading.total && !current.total) return { title, state: "none", text: "Without a scenario no current is known.", offers: [] };
   if (!loading.total) return { title, state: "none", text: current.known ? "No branch has a rating; the largest current:" : "No current is known.", offers: strongest };
   const rest = loading.known === loading.total ? "" : ` ${knownOf(loading, "branch")}.`;
@@ -60,7 +69,7 @@ function findMeters({ meters, meter_counts: counts, view, summary: { residual } 
   const said = REJECTED.filter((status) => counts[status]).map((status) => `${counts[status]} ${status}`).join(", ");
   const readingOf = (/** @type {string} */ id) => {
     const k = meters.meter?.indexOf(id) ?? -1, unit = String(meters.unit?.[k] ?? "");
-    return k < 0 ? "" : `, reads ${fixed(meters.reading[k], unit)} for ${fixed(meters.estimate[k], unit)}`;
+    return k < 0 ? "" : `, reads ${fixed(meters.reading[k], unit)} ${unitOf(meters.unit?.[k])}, estimated ${fixed(meters.estimate[k], unit)}`;
   };
   /** @type {Offer[]} */ const offers = removed.slice(0, MOST_OFFERS - 1).map((id) => ({ label: `${id} is removed${readingOf(id)}`, choice: { kind: "meter", id } }));
   if (residual.highest) offers.push({ label: `${residual.highest.at}${readingOf(residual.highest.at)}`, choice: { kind: "meter", id: residual.highest.at } });

@@ -158,12 +158,13 @@ export class Histories {
     for (const side of this.sides) if (!side.kept.checked || !side.choice) side.choice = choice;
     this.askedAt = -Infinity;
     if (this.moment) this.take(this.moment);
+    this.draw();
   }
 
-  /** @param {Moment} moment */
+  /** Charts change with what is asked for; of a playback only the line at its moment. @param {Moment} moment */
   take(moment) {
     this.moment = moment;
-    this.draw();
+    if (moment.mode === "playback") this.repaint();
     if (!this.isAsking && performance.now() - this.askedAt >= ASK_MS) this.askForAll(moment);
   }
 
