@@ -35,7 +35,7 @@ LASTS_S = 45  # of the simulation, with a scan each second
 SHOWN_AT_S = 12.0  # of the simulation, when the page opens
 SETTLED_MS = 6000  # until histories and all parts of the page are there
 SIZE = {"width": 1280, "height": 900}
-COLOURS = 64  # of a picture, for small files
+COLOURS = 48  # of a picture, for small files
 RATING_MVA = 4.0  # of the first branch of the overloaded feeder
 
 
