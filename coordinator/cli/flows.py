@@ -60,7 +60,7 @@ def flows(
     if view is None or state is None or not state.buses:
         notify(f"area {name} of run {content.run} has published no estimate within {timeout:g} s")
         return 1
-    buses, branches = make_area_flows(content.area, state)
+    buses, branches = make_area_flows(content.area, state, view.freshness)
     summary = f"area {name}: {view.quality}, scan {view.scan}, {view.age_s:.1f} s old"
     lines = [summary, *(f"note: {note}" for note in view.notes)]
     if as_json:

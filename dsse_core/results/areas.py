@@ -50,7 +50,7 @@ def make_area_table(
     totals = _name_totals(find_totals(state, division) * kw)
     deviations = _name_totals(np.full((2, len(TOTALS), n), np.nan) if sigmas is None else sigmas * kw)
     scan, time = label.columns(n)
-    of_areas = mark_rows(marks or [IN_ONE_PLACE] * n)
+    of_areas = mark_rows(marks or [IN_ONE_PLACE] * n, np.arange(n))
     columns = AreaColumns(
         area=division.names,
         phase=[PHASE] * n,

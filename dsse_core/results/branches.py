@@ -71,7 +71,7 @@ def make_branch_table(
         **{f"sigma_{q}": s * u for q, s, u in zip(QUANTITIES, deviations, units, strict=True)},
         scan=scan,
         time=time,
-        **(marks or mark_rows([IN_ONE_PLACE] * count)),
+        **(marks or mark_rows([IN_ONE_PLACE], np.zeros(count, dtype=np.int64))),
     )
     return Table("branches", vars(columns))
 

@@ -59,6 +59,6 @@ def make_bus_table(
         sigma_q_kvar=sigma_injection[1] * kw,
         scan=scan,
         time=time,
-        **(marks or mark_rows([IN_ONE_PLACE] * n)),
+        **(marks or mark_rows([IN_ONE_PLACE], np.zeros(n, dtype=np.int64))),
     )
     return Table("buses", vars(columns))

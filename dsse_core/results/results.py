@@ -178,9 +178,7 @@ def assemble_results(
 ) -> Results:
     """All tables of ``state``; see the functions that make each."""
     of_areas = marks or [IN_ONE_PLACE] * len(division.names)
-    of_buses, of_branches = (
-        mark_rows([of_areas[k] for k in of.tolist()]) for of in (division.of_bus, division.of_branch)
-    )
+    of_buses, of_branches = (mark_rows(of_areas, of) for of in (division.of_bus, division.of_branch))
     voltages = deviations.vm, deviations.va, deviations.injections
     flows = state.network, state.branches, state.flows, deviations.branches
     return Results(

@@ -59,10 +59,14 @@ class Freshness(NamedTuple):
 IN_ONE_PLACE = Freshness()
 
 
-def mark_rows(marks: Sequence[Freshness]) -> dict[str, Any]:
-    """The columns ``quality``, ``value_age_s`` and ``fresh`` of rows with ``marks``."""
-    quality, ages, fresh = zip(*marks, strict=True) if marks else ((), (), ())
-    return {"quality": quality, "value_age_s": np.array(ages, dtype=float), "fresh": np.array(fresh, dtype=bool)}
+def mark_rows(marks: Sequence[Freshness], of: np.ndarray) -> dict[str, Any]:
+    """The columns ``quality``, ``value_age_s`` and ``fresh`` of rows; ``of`` (n,): place in ``marks`` of each."""
+    quality, ages, fresh = zip(*marks, strict=True)
+    return {
+        "quality": [quality[k] for k in of.tolist()],
+        "value_age_s": np.array(ages, dtype=float)[of],
+        "fresh": np.array(fresh, dtype=bool)[of],
+    }
 
 
 def as_times(seconds: np.ndarray) -> np.ndarray:

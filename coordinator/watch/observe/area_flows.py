@@ -17,18 +17,18 @@ from dsse_core.printable import listed
 from dsse_core.results.branches import make_branch_table
 from dsse_core.results.buses import make_bus_table
 from dsse_core.results.state import GridState, find_state
-from dsse_core.results.table import ScanLabel, Table, mark_rows
+from dsse_core.results.table import Freshness, ScanLabel, Table, mark_rows
 
 MOST_NAMED = 12
 
 
-def make_area_flows(area: Area, state: StateMessage) -> tuple[Table, Table]:
+def make_area_flows(area: Area, state: StateMessage, freshness: Freshness | None = None) -> tuple[Table, Table]:
     """Buses and branches that the area sees, in kV, kW, kvar and A.
 
     The state has voltages and their standard deviations; those of all other quantities, and true values, are nan. The
     injection of a boundary bus is known in the area that owns the bus, if it knows the powers into its children; else
     it is nan, and ``injection_problem`` says why. Angles without the substation's reference are nan; flows are
-    known even then. Rows have quality and age of their numbers as the area states them.
+    known even then. ``freshness``: of the numbers; as the area states it, without that of a watcher.
 
     Raises:
         InvalidInputError: the state has other buses than the area.
@@ -49,7 +49,8 @@ def make_area_flows(area: Area, state: StateMessage) -> tuple[Table, Table]:
     deviations = sigma_vm, sigma_va if state.referenced else unknown, np.full((2, len(vm)), np.nan)
     label = ScanLabel(str(state.header.scan), state.taken_at or math.nan)
     compared = {"decentralised": (shown.vm, shown.va)}
-    of_buses, of_branches = (mark_rows([freshness_of_state(state)] * n) for n in (len(vm), len(network.branches)))
+    counts, marks = (len(vm), len(network.branches)), [freshness or freshness_of_state(state)]
+    of_buses, of_branches = (mark_rows(marks, np.zeros(count, dtype=np.int64)) for count in counts)
     buses = make_bus_table(shown, [area.name] * len(vm), compared, *deviations, label, of_buses)
     branches = make_branch_table(network, found.branches, found.flows, label=label, marks=of_branches)
     return add_problems(buses, problems), branches

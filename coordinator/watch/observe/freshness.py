@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
+
 from agents.messages.packing import StateMessage
 from agents.protocol.quality import DEGRADED, GOOD, NONE, RELATIVE_ANGLE
 from dsse_core.results.table import Freshness, mark_rows
@@ -28,4 +30,6 @@ def freshness_of_state(state: StateMessage) -> Freshness:
 
 def describe_freshness(areas: Iterable[str], freshness: Mapping[str, Freshness]) -> dict[str, Any]:
     """Columns ``quality``, ``value_age_s`` and ``fresh`` of rows whose numbers are of ``areas``."""
-    return mark_rows([freshness.get(area, NOT_KNOWN) for area in areas])
+    place = {area: k for k, area in enumerate(freshness)}
+    of = np.fromiter((place.get(area, len(place)) for area in areas), dtype=np.int64)
+    return mark_rows([*freshness.values(), NOT_KNOWN], of)

@@ -78,6 +78,11 @@ def collect_readings(states: States, readings: ReadingsByArea, freshness: Freshn
     |reading - estimate| / standard deviation of the residual. Both are nan where not known, as for a meter that is off.
     ``age_s``: age of the reading at the tick of the scan.
     """
+    found = _collect(states, readings)
+    return found | describe_freshness(found["area"], freshness)
+
+
+def _collect(states: States, readings: ReadingsByArea) -> Columns:
     texts: dict[str, list[str]] = {name: [] for name in ("meter", "area", "status")}
     names = "reading", "sigma", "estimate", "normalised_residual", "age_s"
     numbers: dict[str, list[float]] = {name: [] for name in names}
@@ -99,7 +104,7 @@ def collect_readings(states: States, readings: ReadingsByArea, freshness: Freshn
     found = {name: np.array(column, dtype=float) for name, column in numbers.items()}
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # values of a hostile area
         found["residual_in_sigmas"] = (found["reading"] - found["estimate"]) / found["sigma"]
-    return {**texts, **found, **describe_freshness(texts["area"], freshness)}
+    return {**texts, **found}
 
 
 def worst_first(meters: Table) -> Table:
@@ -218,7 +223,7 @@ class GridTables:
 
         The status of such a meter is ``silent`` where its area has published its readings, else ``not received``.
         """
-        plain = collect_readings(states, readings, {})
+        plain = _collect(states, readings)
         rows = self._find_rows(plain["meter"], plain["area"])
         gap = np.full(len(rows.silent_areas), np.nan)
         status = plain["status"] if rows.are_all else [plain["status"][k] for k in rows.known.tolist()]

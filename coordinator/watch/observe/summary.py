@@ -89,13 +89,12 @@ def summarise(tables: Tables, known: GridTables | None) -> Summary:
 
 def _find_voltage(buses: Table, limits: OperatingLimits) -> Extent:
     """Extent of the voltages of all nodes; where several areas show a node, a fresh number counts."""
-    rows: dict[tuple[int, str], int] = {}
-    ids = buses.bus.tolist()
-    for k in np.argsort(~buses.fresh, kind="stable").tolist():
-        rows.setdefault((ids[k], buses.phase[k]), k)
-    at, every = np.array([*rows.values()], dtype=np.int64), np.ones(len(rows), dtype=bool)
-    band = limits.lowest_vm, limits.highest_vm
-    return _find_extent([bus for bus, _ in rows], buses.vm_pu[at], buses.fresh[at], every, *band)
+    number = {phase: k for k, phase in enumerate(dict.fromkeys(buses.phase))}
+    node = buses.bus * len(number) + np.array([number[phase] for phase in buses.phase], dtype=np.int64)
+    order = np.argsort(~buses.fresh, kind="stable")
+    at = order[np.unique(node[order], return_index=True)[1]]
+    every, band = np.ones(len(at), dtype=bool), (limits.lowest_vm, limits.highest_vm)
+    return _find_extent(buses.bus[at], buses.vm_pu[at], buses.fresh[at], every, *band)
 
 
 def _find_residual(meters: dict[str, Any], limits: OperatingLimits) -> Extent:
@@ -106,7 +105,7 @@ def _find_residual(meters: dict[str, Any], limits: OperatingLimits) -> Extent:
 
 
 def _find_extent(
-    ids: Sequence[object],
+    ids: Sequence[object] | np.ndarray,
     values: np.ndarray,
     fresh: np.ndarray,
     counted: np.ndarray,
