@@ -319,6 +319,8 @@ def _estimate_scans(loaded: Scenario, scans: Scans, output: Output, formats: tup
     from dsse_core.results.scans import ScanTables
 
     output.check_table(ScanTables.names, "of many scans")
+    if output.folder is None and asked_for_formats():
+        raise click.UsageError("--format writes files; say where with --out DIR")
     found = estimate_scans(loaded, scans)
     tables, failures = found.tables, [f"no estimate of {failure}" for failure in found.describe_failures()]
     hand_over(output, tables, lambda: scans_as_json(loaded, found), lambda: format_scans(found, tables), failures)

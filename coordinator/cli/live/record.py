@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from coordinator.cli.command import INSPECT, command, removed_option
-from coordinator.cli.figure_options import figure_options, given_arguments
+from coordinator.cli.figure_options import asked_for_formats, figure_options, given_arguments
 from coordinator.cli.live.address import address_options
 from coordinator.cli.outputs import check_parquet_option, parquet_option, write_files
 from coordinator.cli.terminal import (
@@ -132,8 +132,8 @@ def replay(
     play = play_on_processes if processes else play_on_simulator
     began = time.monotonic()
     check_parquet_option(parquet)
-    if out is None and parquet:
-        raise click.UsageError("--parquet writes files; say where with --out DIR")
+    if out is None and (parquet or asked_for_formats()):
+        raise click.UsageError(f"--{'parquet' if parquet else 'format'} writes files; say where with --out DIR")
     if out is not None and other is None:
         raise click.UsageError("--out: tables are of a whole grid; name it: dsse replay FOLDER SCENARIO --out DIR")
     with nullcontext() if out is None else result_folder(out):

@@ -130,6 +130,17 @@ def test_tables_of_many_scans_are_written_and_the_meters_are_readings_again(tmp_
         assert float(ours["objective"]) == pytest.approx(float(theirs["objective"]), rel=1e-9)
 
 
+@pytest.mark.parametrize(("named", "words"), [(True, "say where with --out DIR"), (False, "a single scan has no")])
+def test_figures_need_a_folder_and_many_scans(tmp_path: Path, dsse: Dsse, named: bool, words: str) -> None:
+    path = tmp_path / "one.csv"
+    save_readings(path, SCENARIO.network, readings_of(1))
+    if named:
+        path = write_scans(tmp_path, {"a": readings_of(1)})
+    code, _, err = dsse("estimate", "ieee33", "--readings", str(path), "--format", "pdf")
+    assert code == 2
+    assert words in err
+
+
 def test_tables_that_are_too_large_are_one_error_before_anything_is_written(
     tmp_path: Path, dsse: Dsse, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -79,6 +79,7 @@ def test_tables_of_a_replay_need_a_scenario_and_parquet_a_folder(recording: Path
     assert code == 2
     assert "dsse replay FOLDER SCENARIO --out DIR" in words
     assert not (tmp_path / "out").exists()
-    code, _, words = dsse("replay", str(recording), "ieee33", "--parquet")
-    assert code == 2
-    assert "--out DIR" in words
+    for option in (["--parquet"], ["--format", "pdf"]):
+        code, _, words = dsse("replay", str(recording), "ieee33", *option)
+        assert code == 2
+        assert f"{option[0]} writes files; say where with --out DIR" in words
