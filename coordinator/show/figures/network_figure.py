@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.collections import LineCollection
@@ -17,7 +19,8 @@ from coordinator.show.figures.diagram import (
     number_buses,
 )
 from coordinator.show.figures.feeder_layout import lay_out
-from coordinator.show.figures.style import GREY, Drawing
+from coordinator.show.figures.style import GREY, VERMILLION, Drawing
+from dsse_core.estimation.state_limits import OperatingLimits
 
 COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.15, 0.95, 256)))
 """Even steps of lightness, also for the colour-blind and for grey print; without the ends, which pages would hide."""
@@ -25,13 +28,14 @@ LEAST_SPAN = 0.01  # p.u. between the ends of the colours: a flat profile has on
 
 
 def draw_network(outcome: RunOutcome) -> Drawing:
-    """Figure of the network; a branch has the colour of its ends' mean, grey where no area has an estimate."""
-    partition, network = outcome.scenario.partition, outcome.scenario.network
-    vm, layout = outcome.comparison.decentralised.vm, lay_out(network)
+    """Figure of the network; a branch has the colour of its ends' mean, grey where there is no fresh estimate."""
+    partition, network, limits = outcome.scenario.partition, outcome.scenario.network, outcome.scenario.operating_limits
+    vm = np.where(outcome.buses.fresh, outcome.comparison.decentralised.vm, np.nan)
+    layout = lay_out(network)
     known = np.flatnonzero(~np.isnan(vm))
     ends = [int(known[np.argmin(vm[known])]), int(known[np.argmax(vm[known])])] if len(known) else []
     figure, axes = new_diagram(layout, len(partition.boundaries) + len(ends))
-    scale = _find_scale(vm[known])
+    scale = _find_scale(vm[known], limits)
     branches = network.active_branches
     lines = [find_corners(network, layout, branch) for branch in branches]
     mean = (vm[network.table.f] + vm[network.table.t]) / 2
@@ -55,6 +59,11 @@ def draw_network(outcome: RunOutcome) -> Drawing:
         zorder=3,
         linewidths=0,
     )
+    outside = known[(vm[known] < limits.lowest_vm) | (vm[known] > limits.highest_vm)]
+    if len(outside):
+        x, y = layout.place[outside].T
+        edges: dict[str, Any] = {"facecolors": "none", "edgecolors": VERMILLION, "label": "beyond the limits"}
+        axes.scatter(x, y, s=4 * size, marker="^", zorder=4, **edges)
     axes.autoscale_view()
     mark_boundaries(axes, partition, layout, fill="none")
     if len(known):
@@ -65,13 +74,13 @@ def draw_network(outcome: RunOutcome) -> Drawing:
     numbered = "boundary buses and those of the lowest and the highest voltage have their numbers"
     caption = f"Estimated voltage magnitude on the one-line diagram; {numbered}. Dashed branches close loops."
     if len(known) < len(vm):
-        caption += f" Grey: {len(vm) - len(known)} buses that no area has estimated."
+        caption += f" Grey: {len(vm) - len(known)} buses without a fresh estimate."
     return Drawing("network", "Voltages in the network", caption, figure)
 
 
-def _find_scale(vm: np.ndarray) -> Normalize:
+def _find_scale(vm: np.ndarray, limits: OperatingLimits) -> Normalize:
     if len(vm) == 0:
-        return Normalize(0.9, 1.1)
+        return Normalize(limits.lowest_vm, limits.highest_vm)
     low, high = float(vm.min()), float(vm.max())
     more = max(0.0, LEAST_SPAN - (high - low)) / 2
     return Normalize(low - more, high + more)

@@ -209,8 +209,26 @@ def test_the_network_is_coloured_by_voltage_and_unknown_buses_are_grey(result: R
     coloured = np.concatenate([np.asarray(each.get_array()) for each in lines if each.get_array() is not None])
     assert sorted(coloured) == pytest.approx(sorted(mean[~np.isnan(mean)]))
     assert sum(len(each.get_segments()) for each in lines if each.get_array() is None) == 1
-    assert "1 buses that no area has estimated" in drawing.caption
+    assert "1 buses without a fresh estimate" in drawing.caption
     assert axes_of(drawing)[1].get_ylabel() == "voltage magnitude (p.u.)"
+
+
+def test_map_and_profile_leave_out_an_area_that_is_not_fresh_and_the_map_marks_what_is_beyond_limits(
+    result: RunResult,
+) -> None:
+    stale = [replace(area, fresh=area.name != "area2") for area in result.area_results]
+    scenario = replace(result.scenario, operating_limits=OperatingLimits(lowest_vm=0.93))
+    shown = replace(result, scenario=scenario, area_results=tuple(stale))
+    of_area2 = np.array(shown.buses.area) == "area2"
+    low = (shown.buses.vm_pu < 0.93) & ~of_area2
+    drawing = draw_network(shown)
+    (marked,) = (each for each in axes_of(drawing)[0].collections if each.get_label() == "beyond the limits")
+    assert len(np.asarray(marked.get_offsets())) == low.sum() > 0
+    assert f"{of_area2.sum()} buses without a fresh estimate" in drawing.caption
+    profile = draw_magnitudes(find_profile(shown))
+    drawn = np.asarray(line(axes_of(profile)[0], "decentralised estimate").get_ydata())
+    assert np.isnan(drawn).tolist() == of_area2.tolist()
+    assert f"Of 33 buses {33 - of_area2.sum()} known." in profile.caption
 
 
 def words_of(drawing: Drawing) -> Iterator[str]:
