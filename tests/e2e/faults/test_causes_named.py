@@ -17,7 +17,7 @@ import tomli_w
 from agents.area_files.area_file import save_area_file, stamp_split
 from agents.area_files.reader import load_area_file
 from coordinator.watch.observe.causes import KINDS
-from tests.support.browser import serve
+from tests.support.browser import browsing, serve
 from tests.support.dsse_command import free_endpoint
 from tests.support.faulted import FAULTS, rate, words_of
 from tests.support.levels import further
@@ -111,6 +111,10 @@ def assert_named(dsse: Any, folder: Path, faults: Mapping[str, str]) -> None:
         for process in ended:
             system.end(process, signal.SIGKILL)
         wait_until(lambda: name_first(*expected))
+        with browsing() as page:
+            page.goto(url)
+            for words in expected:
+                page.wait_for_selector(f"#cause >> text={words}")
         if not {"plant", "router"} & {*ended}:  # a watcher that comes later has not seen them
             assert dsse("watch", "ieee33.toml", "--connect", endpoint, "--once").stdout.startswith(expected[0])
 
