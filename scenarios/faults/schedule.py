@@ -23,10 +23,11 @@ class Step:
 
 @dataclass
 class FaultSchedule:
-    """The steps still to come, in order, and the count of steps carried out by kind."""
+    """The steps still to come, in order, and the count of steps carried out by kind; ``dead``: killed processes."""
 
     steps: list[Step]
     counts: Counter[str] = field(default_factory=Counter)
+    dead: set[str] = field(default_factory=set)
 
     @classmethod
     def of(cls, events: Sequence[FaultEvent]) -> FaultSchedule:
@@ -46,11 +47,21 @@ class FaultSchedule:
             step = self.steps.pop(0)
             do(step)
             self.counts[step.kind] += 1
+            if step.kind == "kill":
+                self.dead.add(step.names[0])
+            elif step.kind == "restart":
+                self.dead.discard(step.names[0])
             yield step
 
-    def describe_next(self) -> tuple[str, ...]:
-        """The next step in words, as a single line; empty if no step is left."""
-        return tuple(
+    def describe_obstacles(self) -> tuple[str, ...]:
+        """The next step in words, and a dead plant; each keeps the run from consensus.
+
+        A dead plant is an obstacle by itself. Its last readings are on their way when it is killed, and the kill itself
+        takes a while on a busy machine: areas that receive these readings after the fault are `good` for three
+        heartbeats. Two heartbeats without a change were enough for consensus, and the run ended with exit code 0.
+        """
+        steps = [
             f"still to come: {step.kind} {' and '.join(step.names)} {step.at_s:g} s after the start"
             for step in self.steps[:1]
-        )
+        ]
+        return (*steps, *(["the plant is dead"] if "plant" in self.dead else []))

@@ -258,7 +258,7 @@ def _watch(
             if now < next_check:
                 continue
             standing = observer.standing(now)
-            obstacles = (*run.schedule.describe_next(), *standing.obstacles)
+            obstacles = (*run.schedule.describe_obstacles(), *standing.obstacles)
             obstacles = obstacles or tuple(run.used.find_missing(observer.states))
             if on_update and (now >= next_update or not obstacles):
                 next_update = now + UPDATE_S

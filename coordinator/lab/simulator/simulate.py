@@ -137,7 +137,7 @@ class Simulation:
                 self._write(now, "fault", kind=step.kind, names=step.names)
                 self._observer.take_fault(now)
             standing = self._observer.standing(now)
-            obstacles = (*self._schedule.describe_next(), *standing.obstacles)
+            obstacles = (*self._schedule.describe_obstacles(), *standing.obstacles)
             obstacles = obstacles or tuple(self._used.find_missing(self._observer.states))
             if now - self._observer.changed_at >= check_s and not obstacles:
                 return None

@@ -42,7 +42,7 @@ def test_looks_that_take_long_do_not_follow_each_other_at_once(monkeypatch: pyte
         scenario=SimpleNamespace(run=SimpleNamespace(beat_s=1.0, timeout_s=LIMIT_S), time_limit_s=LIMIT_S),
         updates=SimpleNamespace(take=take),
         duplicates=SimpleNamespace(find_lasting=lambda _: []),
-        schedule=SimpleNamespace(describe_next=lambda: (), steps=()),
+        schedule=SimpleNamespace(describe_obstacles=lambda: (), steps=()),
         joined=None,
         started=0.0,
     )

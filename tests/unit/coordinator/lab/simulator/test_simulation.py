@@ -48,8 +48,11 @@ def test_a_run_without_consensus_ends_at_its_time_limit_and_says_why(tmp_path: P
     assert verdict.reason.startswith("no consensus within 0.05 s: ")
 
 
-def test_areas_that_agree_after_the_death_of_their_plant_are_no_consensus_and_all_files_are_there(tmp_path: Path):
-    events = [{"at_s": 0.05, "kill": "plant"}]
+@pytest.mark.parametrize("at_s", [0.05, 1.0005])  # at 1.0005 s the last readings are on their way
+def test_areas_that_agree_after_the_death_of_their_plant_are_no_consensus_and_all_files_are_there(
+    tmp_path: Path, at_s: float
+):
+    events = [{"at_s": at_s, "kill": "plant"}]
     scenario = load_scenario("ieee33", changes={"faults.events": events})
     result = simulate(tmp_path / "out", scenario)  # type: ignore[arg-type]
     assert result.verdict.reason is not None
