@@ -69,8 +69,9 @@ def _find_own_injections(area: Area, state: StateMessage, found: GridState) -> t
     injection, row, powers = found.injection.copy(), area.network.row, area.powers_into_children
     problems = dict.fromkeys(area.not_owned, f"{area.parent.area} owns this bus" if area.parent else "")
     if len(state.into_children) != len(powers):
-        children = {power.bus: power.area for power in powers}
-        problems |= {bus: f"{area.name} does not know the power into {child}" for bus, child in children.items()}
+        for bus in {power.bus for power in powers}:
+            children = listed([*dict.fromkeys(power.area for power in powers if power.bus == bus)], MOST_NAMED)
+            problems[bus] = f"{area.name} does not know the power into {children}"
     else:
         for power, value in zip(powers, state.into_children, strict=True):
             injection[row[power.bus]] += value if power.kind is Kind.P else 1j * value
