@@ -97,6 +97,17 @@ def find(page: Any, name: str, fact: str) -> None:
     page.wait_for_selector("#past canvas")
 
 
+def mark_part(page: Any) -> None:
+    """Mark a part of the left chart with the pointer; both charts show it then."""
+    page.locator("#past canvas").first.scroll_into_view_if_needed()
+    box = page.locator("#past .u-over").first.bounding_box()
+    page.mouse.move(box["x"] + 0.2 * box["width"], box["y"] + 20)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 20)
+    page.mouse.up()
+    wait_until(lambda: page.locator("#range").evaluate("range => range.selectedOptions[0].text") == "as marked")
+
+
 def test_a_recording_is_played_and_the_past_of_everything_is_shown(tmp_path: Path, recording: Path):
     with SystemByHand(tmp_path) as system, browsing() as page:
         open_play(page, serve(system, "industrial13", "--recording", recording))
@@ -114,7 +125,12 @@ def test_a_recording_is_played_and_the_past_of_everything_is_shown(tmp_path: Pat
         shown = page.locator("#meters tbody tr").first.locator("td").all_text_contents()
         assert "-" not in shown[3:7], shown  # reading, estimate, unit, residual
         find(page, "5", "voltage")
+        page.get_by_label("Right stays").check()
         find(page, "1-2", "active power")
+        assert page.locator("#past h3").all_text_contents() == ["branch 1-2", "bus 5"]  # two things side by side
+        mark_part(page)
+        page.select_option("#range", "all")
+        page.get_by_label("Right stays").uncheck()
         choose(page, "#meters button", "normalised residual")
         choose(page, "#areas button", "degrees of freedom")
         keep_picture(page, "page-recording")
