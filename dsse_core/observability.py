@@ -66,8 +66,8 @@ def find_indispensable_rows(network: Network, meters: Sequence[Meter], *, refere
     if not _all_fit(network, meters) and (problems := list(find_meter_problems(network, meters))):
         raise InvalidInputError(f"meters of network {network.name!r}", problems)
     reference = find_reference(network, reference)
-    model, n = _no_load_model(network, meters), len(network.buses)
-    free = np.delete(np.arange(2 * n), network.row[reference])
+    model, n = _no_load_model(network, meters), network.n_nodes
+    free = np.delete(np.arange(2 * n), network.nodes_at(reference))
     order = order_tableau(network, reference, model, free)
     fit = NoLoadFit(_scaled_jacobian(network, model, reference)[:, free], None if order.fills_in else order.rows)
     unseen = fit.find_null_vectors()
@@ -78,7 +78,8 @@ def find_indispensable_rows(network: Network, meters: Sequence[Meter], *, refere
     null = np.zeros((2 * n, unseen.shape[1]))
     null[free] = unseen
     undetermined = find_touched(null)
-    buses = [bus.id for row, bus in enumerate(network.buses) if undetermined[row] or undetermined[n + row]]
+    rows = network.table.nodes.item[undetermined.reshape(2, n).any(axis=0)]
+    buses = network.table.bus_id[np.unique(rows)].tolist()
     present = {meter.id for meter in meters}
     raise NotObservableError(buses, _find_cures(network, buses, present, null, reference))
 

@@ -188,8 +188,8 @@ def _row_of(item: Any) -> dict[str, Any]:
 
 
 def keys_of(cls: Any) -> list[tuple[str, Any]]:
-    """Returns name and default of every field that a dataclass is made of."""
-    return [(f.name, f.default) for f in dataclasses.fields(cls) if f.init]
+    """Returns name and default of every field that a dataclass is made of in files: no phases."""
+    return [(f.name, f.default) for f in dataclasses.fields(cls) if f.init and f.metadata.get("in_files", True)]
 
 
 _known_keys_of = functools.cache(keys_of)

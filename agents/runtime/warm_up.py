@@ -45,7 +45,7 @@ def warm_up() -> None:
     readings = [Measurement(m, float(m.kind is MeasurementKind.VM), SIGMA) for m in meters]
     model = build_area_model(area, readings, None, backend="radial")
     x = np.zeros(model.size)
-    x[len(area.network.buses) : 2 * len(area.network.buses)] = 1.0
+    x[model.n_nodes : 2 * model.n_nodes] = 1.0
     received = {n.area: model.linear.information(x, n, {}) for n in area.neighbours}
     for known in ({}, received):
         model.linear.step(x, known)

@@ -113,8 +113,9 @@ def _find_weakest(plan: EstimationPlan, sigmas: np.ndarray) -> str:
     for name, deviation, longest, unit in of_kinds:
         row = int(np.argmax(np.nan_to_num(deviation)))
         if THRESHOLD * deviation[row] > longest:
+            bus = plan.network.table.bus_id[plan.network.table.nodes.item[row]]
             return (
-                f"the readings hardly determine the {name} at bus {plan.network.buses[row].id}: its standard deviation "
+                f"the readings hardly determine the {name} at bus {bus}: its standard deviation "
                 f"is {deviation[row]:.2g} {unit}; add a voltmeter there, or power meters around it"
             )
     return ""

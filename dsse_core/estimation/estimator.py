@@ -139,7 +139,7 @@ def iterate_with_plan(
 
 def _read_start(plan: EstimationPlan, vm: np.ndarray, va: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     vm, va = read_numbers("vm of the start", vm), read_numbers("va of the start", va)
-    n = len(plan.network.buses)
+    n = plan.network.n_nodes
     if not vm.shape == va.shape == (n,):
         problem = f"the start has shapes {vm.shape} and {va.shape}; give ({n},) twice"
         raise InvalidInputError(f"estimate of network {plan.network.name!r}", [problem])
@@ -184,7 +184,7 @@ def _estimate_as_area(
 class WholeGrid:
     """The whole grid as one area without neighbours: states its totals, and carries out verdicts.
 
-    ``x``: the state x_k = [va; vm], (2 n_bus,), p.u. and rad.
+    ``x``: the state x_k = [va; vm], (2 n_nodes,), p.u. and rad.
     """
 
     def __init__(

@@ -49,7 +49,7 @@ class AreaEstimation:
     def __init__(self, area: Area) -> None:
         self.area = area
         self._reference = area.reference[0] if area.reference else None
-        self._n = len(area.network.buses)
+        self._n = area.network.n_nodes
         self._by_name = {n.area: n for n in area.neighbours}
         self._flat = _flat_start(area)
         self.x = self._flat

@@ -55,7 +55,7 @@ def solve_damped_step(model: AreaModel, x: np.ndarray, received: Mapping[str, Bo
     diverge.
     """
     dx = model.linear.step(x, received, DAMPING**-2.0)
-    largest = float(abs(dx[: 2 * len(model.area.network.buses)]).max())
+    largest = float(abs(dx[: 2 * model.n_nodes]).max())
     return np.asarray(dx * min(1.0, MAX_DVM / max(largest, MAX_DVM)))
 
 

@@ -12,15 +12,16 @@ import scipy.sparse.linalg as spla
 
 from dsse_core.grid.network import Network
 from dsse_core.grid.network_table import NetworkTable
+from dsse_core.grid.nodes import PHASE_ANGLE
 
 
 @dataclass(frozen=True)
 class Admittance:
-    """Admittances. ``stacked`` (n + 2 n_branch, n): ``ybus`` (n, n), ``yf`` and ``yt`` (n_branch, n) below each other.
+    """Admittances. ``stacked`` (n + n_port, n): ``ybus`` (n, n), and below it a row for each port.
 
-    For voltages ``v`` the currents are ``ybus v`` into the network, ``yf v`` and ``yt v`` into the ends of branches.
-    Rows of ``ybus`` follow ``network.buses``, rows of ``yf`` and ``yt`` follow ``network.active_branches``.
-    Every row stores an entry, be it zero, for its own bus.
+    For voltages ``v`` of the nodes ``stacked v`` are the currents into the network at each node, then into each port.
+    Rows follow ``nodes.py``: in a balanced network ``ybus`` the buses, ports the from ends, then the to ends, of
+    ``network.active_branches``. Every row stores an entry, be it zero, for its own node.
     """
 
     stacked: sp.csr_array
@@ -31,25 +32,47 @@ class Admittance:
 
 
 def build_admittance(network: Network, *, with_shunts: bool = True) -> Admittance:
-    """Build the admittances; a branch with tap ``t = tap * exp(j shift)`` at its from side has
+    """Builds ``[A' Yp A + diag(shunt); Yp A]``: Yp the admittances of branches over their ports, A the nodes of ports.
 
-    ``yff = (ys + (g + j b) / 2) / |t|^2``, ``yft = -ys / conj(t)``, ``ytf = -ys / t``, ``ytt = ys + (g + j b) / 2``.
-    ``with_shunts=False`` leaves out g, b and bus shunts, all that draws current without load.
+    ``with_shunts=False`` leaves out bus shunts and charging, all that draws current without load. The shunt of a bus
+    with phases stands at each of them.
     """
     table = network.table
-    f, t, ys, ratio = table.f, table.t, table.ys, table.ratio
-    n, n_branch = len(table.bus_id), len(f)
-    ytt = ys + table.ends * with_shunts
-    yff = ytt / abs(ratio) ** 2
-    yft = -ys / ratio.conj()
-    ytf = -ys / ratio
-    shunt = table.shunt * with_shunts
+    n, node, own = len(table.nodes), table.port_node, np.arange(len(table.nodes))
+    y, row, column = _find_primitives(table, with_shunts)
+    shunt = (table.shunt * with_shunts)[table.nodes.item]
+    entries = np.concatenate([y, shunt, y])
+    rows, columns = np.concatenate([node[row], own, n + row]), np.concatenate([node[column], own, node[column]])
+    return Admittance(sp.coo_array((entries, (rows, columns)), shape=(n + len(node), n)).tocsr())
 
-    bus, at_from, at_to = np.arange(n), n + np.arange(n_branch), n + n_branch + np.arange(n_branch)
-    entries = np.concatenate([yff, yft, ytf, ytt, shunt, yff, yft, ytf, ytt])
-    rows = np.concatenate([f, f, t, t, bus, at_from, at_from, at_to, at_to])
-    columns = np.concatenate([f, t, f, t, bus, f, t, f, t])
-    return Admittance(sp.coo_array((entries, (rows, columns)), shape=(n + 2 * n_branch, n)).tocsr())
+
+def _find_primitives(table: NetworkTable, with_shunts: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The entries of Yp of the branches in service, and the ports of their rows and columns, (nnz,) each."""
+    if table.nodes.is_balanced:
+        at_from, at_to = np.arange(2 * len(table.active)).reshape(2, -1)
+        y = np.concatenate(find_two_ports(table, table.active, with_shunts))
+        return y, np.concatenate([at_from, at_from, at_to, at_to]), np.concatenate([at_from, at_to, at_from, at_to])
+    entries, rows, columns = [np.zeros(0)], [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    for k, branch in enumerate(table.active.tolist()):
+        primitive = table.primitives[branch]
+        ports = np.concatenate([table.ports.at(k), table.ports.at(len(table.active) + k)])
+        entries.append((primitive.y if with_shunts else primitive.y - primitive.charging).ravel())
+        rows.append(np.repeat(ports, len(ports)))
+        columns.append(np.tile(ports, len(ports)))
+    return np.concatenate(entries), np.concatenate(rows), np.concatenate(columns)
+
+
+def find_two_ports(
+    table: NetworkTable, branches: np.ndarray, with_shunts: bool = True
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """yff, yft, ytf, ytt of the ``branches``, by rows, (k,), of a balanced network.
+
+    A branch with tap ``t = tap * exp(j shift)`` at its from side has ``yff = (ys + (g + j b) / 2) / |t|^2``,
+    ``yft = -ys / conj(t)``, ``ytf = -ys / t``, ``ytt = ys + (g + j b) / 2``.
+    """
+    ys, ratio = 1 / table.series[branches], table.tap[branches] * np.exp(1j * table.shift[branches])
+    ytt = ys + 0.5 * table.charging[branches] * with_shunts
+    return ytt / abs(ratio) ** 2, -ys / ratio.conj(), -ys / ratio, ytt
 
 
 def flat_start(
@@ -76,8 +99,11 @@ def find_no_load(
         sum |ys| (vm_f / tap - vm_t)^2 -> min,    sum |ys| (va_f - shift - va_t)^2 -> min
 
     In a meshed network taps follow the loads, and along a walk they add up to voltages that no bus has. Parts of a
-    network that share one bus can each be balanced alone.
+    network that share one bus can each be balanced alone. With phases no current flows at any node but those of the
+    reference, which are a symmetrical source; there alone voltages can be given.
     """
+    if not network.table.nodes.is_balanced:
+        return _find_idle(network, reference, (held or {}).get(reference, 1.0), (angles or {}).get(reference, 0.0))
     table, held = network.table, {reference: 1.0} | dict(held or {})
     angles = {reference: 0.0} | dict(angles or {})
     n, active = len(table.bus_id), table.active
@@ -98,6 +124,18 @@ def find_no_load(
     if (transforms and has_loops) or len(held) > 1:
         vm = _balance(table, 1 / tap, np.zeros(len(active)), is_given, vm)
     return vm, va
+
+
+def _find_idle(network: Network, reference: int, vm: float, va: float) -> tuple[np.ndarray, np.ndarray]:
+    """vm and va of the nodes where no current flows; nodes out of reach have those of the source."""
+    table, ybus = network.table, build_admittance(network, with_shunts=False).ybus
+    source = vm * np.exp(1j * (va + PHASE_ANGLE[table.nodes.phase]))
+    is_reached = (table.island == table.island[network.row[reference]])[table.nodes.item]
+    given = network.nodes_at(reference)
+    free = np.setdiff1d(np.flatnonzero(is_reached), given)
+    if len(free):
+        source[free] = spla.splu(ybus[free][:, free].tocsc()).solve(-(ybus[free][:, given] @ source[given]))
+    return abs(source), np.angle(source)
 
 
 def _walk(network: Network, reference: int, tap: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

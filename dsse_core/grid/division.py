@@ -33,6 +33,7 @@ def build_partition(
         InvalidInputError: listing every bus or branch in no area, area in pieces, unknown name, and the
             cycle if a ring passes through more than two areas.
     """
+    network.check_balanced("a division into areas")
     local_slack = local_slack or {}
     members = _find_members(network, area_buses)
     problems = _find_bus_problems(network, area_buses, members)

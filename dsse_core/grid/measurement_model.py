@@ -1,8 +1,8 @@
 """h(x) and H(x): what meters would read in state x, and the derivatives, for every kind of meter.
 
-With the metered bus' voltage ``u = C v`` and the metered current ``i = Y v`` one formula serves all kinds:
+With the metered node's voltage ``u = C v`` and the metered current ``i = Y v`` one formula serves all kinds:
 ``s = u conj(i)`` (P, Q of injections and of both branch ends), ``|i|``, ``|u|`` and ``arg u``. Injections
-and flows differ only in the rows of ``Y`` (from ``ybus``, ``yf`` or ``yt``).
+and flows differ only in the rows of ``Y`` (a node's or a port's).
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ VOLTAGE_FLOOR = 1e-9  # p.u.; least divisor |u| of the derivatives of |u| and ar
 
 @dataclass(frozen=True)
 class MeasurementModel:
-    """The measurement functions of ``meters``; ``x = [va; vm]``, shape (2 n_bus,), rad and p.u.
+    """The measurement functions of ``meters``; ``x = [va; vm]``, shape (2 n_nodes,), rad and p.u.
 
-    ``y`` (n_meas, n_bus) holds the admittance row of each meter, ``bus_row`` (n_meas,) its bus.
+    ``y`` (n_meas, n_nodes) holds the admittance row of each meter, ``node`` (n_meas,) its node.
     """
 
     kinds: np.ndarray
-    bus_row: np.ndarray
+    node: np.ndarray
     y: sp.csr_array
     meter_row: np.ndarray  # (nnz,): the meter of each stored entry of y
-    at_bus: np.ndarray  # (nnz,): 1 where the entry's column is the metered bus, the pattern of C
+    at_node: np.ndarray  # (nnz,): 1 where the entry's column is the metered node, the pattern of C
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """h(x), shape (n_meas,), p.u. and rad."""
@@ -50,7 +50,7 @@ class MeasurementModel:
         return r
 
     def jacobian(self, x: np.ndarray) -> sp.csr_array:
-        """H(x) = dh/dx, shape (n_meas, 2 n_bus); its pattern is the same for every x."""
+        """H(x) = dh/dx, shape (n_meas, 2 n_nodes); its pattern is the same for every x."""
         return self.linearize(x)[1]
 
     def linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
@@ -69,7 +69,7 @@ class MeasurementModel:
         u, i, vm, phase = self._phasors(x)
         of_u, of_i = self.weigh(u, i)
         row, column = self.meter_row, self.y.indices
-        along = (of_u[row] * self.at_bus + of_i[row] * self.y.data) * phase[column]
+        along = (of_u[row] * self.at_node + of_i[row] * self.y.data) * phase[column]
         return self.read(u, i), np.concatenate([-along.imag * vm[column], along.real])[self._pattern[0]]
 
     def linearize_compiled(self, x: np.ndarray, *, with_H: bool = True) -> tuple[np.ndarray, np.ndarray]:
@@ -78,7 +78,7 @@ class MeasurementModel:
 
         places = self._pattern[0] if with_H else self._pattern[0][:0]
         y, floors = self.y, (CURRENT_FLOOR, VOLTAGE_FLOOR)
-        of_meters = self._reads, self.bus_row, y.indptr, y.indices, y.data, self.at_bus
+        of_meters = self._reads, self.node, y.indptr, y.indices, y.data, self.at_node
         found: tuple[np.ndarray, np.ndarray] = derivatives.linearize(x, *of_meters, places, floors)
         return found
 
@@ -134,7 +134,7 @@ class MeasurementModel:
         va, vm = x[:n], x[n:]
         phase = np.exp(1j * va)
         v = vm * phase
-        return v[self.bus_row], self.y @ v, vm, phase
+        return v[self.node], self.y @ v, vm, phase
 
     @cached_property
     def _rows(self) -> list[np.ndarray]:
@@ -162,28 +162,23 @@ def stack_models(above: MeasurementModel, below: MeasurementModel) -> Measuremen
     """The rows of two models of one network."""
     return MeasurementModel(
         kinds=np.concatenate([above.kinds, below.kinds]),
-        bus_row=np.concatenate([above.bus_row, below.bus_row]),
+        node=np.concatenate([above.node, below.node]),
         y=sp.csr_array(sp.vstack([above.y, below.y], format="csr")),
         meter_row=np.concatenate([above.meter_row, len(above.kinds) + below.meter_row]),
-        at_bus=np.concatenate([above.at_bus, below.at_bus]),
+        at_node=np.concatenate([above.at_node, below.at_node]),
     )
 
 
 def build_measurement_model(network: Network, admittance: Admittance, meters: Sequence[Meter]) -> MeasurementModel:
-    """The model of ``meters``: of each its bus and its admittance row, of ``ybus`` at a bus, of ``yf`` or ``yt`` on a
-    branch.
-    """
+    """The model of ``meters``: of each its node and its row of ``stacked``, that of the node or of the port."""
     table = tabulate_meters(network, meters)
-    f = np.append(network.table.f, -1)  # the last row stands for -1
-    branch = np.maximum(table.branch, -1)
-    at_to = np.where(f[branch] == table.bus, 0, len(f) - 1)
-    rows = np.where(branch < 0, table.bus, len(network.table.bus_id) + branch + at_to)
+    rows = np.where(table.branch < 0, table.node, network.n_nodes + table.port)
     y = sp.csr_array(admittance.stacked[rows])
     meter_row = np.repeat(np.arange(len(rows)), np.diff(y.indptr))
     return MeasurementModel(
         kinds=np.array(KINDS, dtype="<U12")[table.kind],
-        bus_row=table.bus,
+        node=table.node,
         y=y,
         meter_row=meter_row,
-        at_bus=(y.indices == table.bus[meter_row]).astype(float),
+        at_node=(y.indices == table.node[meter_row]).astype(float),
     )

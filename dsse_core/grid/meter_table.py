@@ -11,6 +11,7 @@ import numpy as np
 from dsse_core.grid.columns import Records, Rows, rows_of_texts
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Network
+from dsse_core.grid.network_table import NetworkTable
 
 KINDS, SOURCES = tuple(MeasurementKind), tuple(Source)
 NO_BRANCH, UNKNOWN = -2, -1
@@ -27,9 +28,23 @@ class MeterTable:
     NO_BRANCH for a meter at a bus.
     """
 
+    network: NetworkTable
     kind: np.ndarray
     bus: np.ndarray
     branch: np.ndarray
+
+    @property
+    def node(self) -> np.ndarray:
+        """The row of each meter's node; UNKNOWN where the network has no such node."""
+        return self.network.nodes.find(self.bus)
+
+    @property
+    def port(self) -> np.ndarray:
+        """The port of each meter, UNKNOWN where it is at a bus or the network has no such port."""
+        f = np.append(self.network.f, UNKNOWN)  # the last row stands for NO_BRANCH and UNKNOWN
+        branch = np.maximum(self.branch, UNKNOWN)
+        at_to = np.where(f[branch] == self.bus, 0, len(f) - 1)
+        return self.network.ports.find(np.where(branch < 0, UNKNOWN, branch + at_to))
 
 
 def make_meters(
@@ -147,10 +162,10 @@ def tabulate_meters(network: Network, meters: Sequence[Meter]) -> MeterTable:
         branch = columns["branch"]
         if not table.in_service.all():
             branch = np.append(table.active_row, (NO_BRANCH, UNKNOWN))[branch]  # the last rows stand for -2 and -1
-        return MeterTable(columns["kind"], table.rows.find(columns["bus"]), branch)
+        return MeterTable(table, columns["kind"], table.rows.find(columns["bus"]), branch)
     bus = np.array([meter.bus for meter in meters], dtype=np.int64)
     branch = rows_of_texts(network.active_branch_ids, [meter.branch for meter in meters])
-    return MeterTable(number_kinds(meters), table.rows.find(bus), branch)
+    return MeterTable(table, number_kinds(meters), table.rows.find(bus), branch)
 
 
 def read_meters_of(readings: Sequence[Measurement]) -> Sequence[Meter]:

@@ -1,4 +1,4 @@
-"""The network model: buses, branches and generators of a balanced grid, in per unit and radians.
+"""The network model: buses, branches and generators of a grid, in per unit and radians.
 
 Sign conventions, here and everywhere inside the package:
 loads are positive when they consume, generators when they produce, injections when power enters the
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 
@@ -19,6 +19,7 @@ import numpy as np
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.columns import Records, read_given
 from dsse_core.grid.network_table import NetworkTable, tabulate
+from dsse_core.grid.nodes import PHASES, Primitive, list_phases, read_phases
 
 ZERO_IMPEDANCE = 1e-6
 """A branch below this share of the median |r + jx| counts as without impedance. The power through it is a difference of
@@ -36,9 +37,10 @@ class Control(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Bus:
-    """A node. ``p_load``, ``q_load`` in p.u.; ``g_shunt``, ``b_shunt`` in p.u. at 1 p.u. voltage.
+    """A bus. ``p_load``, ``q_load`` in p.u.; ``g_shunt``, ``b_shunt`` in p.u. at 1 p.u. voltage.
 
     ``x``, ``y``: its place on a map, to the east and to the north, in any unit; None where it is not known.
+    ``phases``: "" in a balanced network, else such as "abc" or "s1s2", a node each (``nodes.py``).
     """
 
     id: int
@@ -50,6 +52,7 @@ class Bus:
     b_shunt: float = 0.0
     x: float | None = None
     y: float | None = None
+    phases: str = field(default="", metadata={"in_files": False})
 
     @property
     def has_shunt(self) -> bool:
@@ -62,7 +65,8 @@ class Branch:
 
     Half of ``g + jb`` stands at each end. The tap stands at the from side, MATPOWER's convention: without load
     ``v_to = v_from / (tap * exp(j * shift))``; ``shift`` in rad. The rating, where it is known: ``i_max``, the current
-    at either end, or ``s_max``, the apparent power, p.u.
+    at either end, or ``s_max``, the apparent power, p.u. Where buses have phases ``primitive`` is the branch, and
+    ``r``, ``x`` are its size alone, by which impedances near zero are found.
     """
 
     id: str
@@ -78,6 +82,7 @@ class Branch:
     name: str = ""
     i_max: float | None = None
     s_max: float | None = None
+    primitive: Primitive | None = field(default=None, metadata={"in_files": False})
 
     def other_end(self, bus: int) -> int:
         return self.to_bus if bus == self.from_bus else self.from_bus
@@ -145,6 +150,26 @@ class Network:
     def row(self) -> dict[int, int]:
         """Bus id -> array position; ``table.rows`` finds the positions of arrays of ids."""
         return {bus: row for row, bus in enumerate(self.table.bus_id.tolist())}
+
+    @property
+    def n_nodes(self) -> int:
+        """The number of nodes, each with one voltage: of buses where the network is balanced."""
+        return len(self.table.nodes)
+
+    def node(self, bus: int, phase: str = "") -> int:
+        """The row of a node, by its bus and phase; -1 where the bus lacks the phase."""
+        return int(self.table.nodes.find(np.array([self.row[bus]]), PHASES.index(phase))[0])
+
+    def nodes_at(self, bus: int) -> np.ndarray:
+        """The rows of the nodes of a bus."""
+        return self.table.nodes.at(self.row[bus])
+
+    def check_balanced(self, purpose: str) -> None:
+        """Raises InvalidInputError where buses have phases, which ``purpose`` cannot serve."""
+        if not self.table.nodes.is_balanced:
+            raise InvalidInputError(
+                f"network {self.name!r}", [f"its buses have phases; {purpose} needs a balanced one"]
+            )
 
     @cached_property
     def active_branches(self) -> tuple[Branch, ...]:
@@ -271,6 +296,29 @@ def _find_problems_of_buses_and_branches(network: Network) -> Iterable[str]:
                 yield f"branch {branch.id}: i_max or s_max is {rating}; a rating is positive, or is not given"
         if branch.tap <= 0:
             yield f"branch {branch.id}: tap is {branch.tap}; it must be positive (1.0 for a line)"
+    yield from _find_problems_of_phases(network)
+
+
+def _find_problems_of_phases(network: Network) -> Iterable[str]:
+    texts = {bus.id: bus.phases for bus in network.buses}
+    if without := [str(bus) for bus, phases in texts.items() if not phases] if any(texts.values()) else []:
+        yield f"bus {', '.join(without)} has no phases, and others have; give each bus its phases"
+    for bus, phases in texts.items():
+        if not read_phases([phases])[0]:
+            yield f"bus {bus}: phases is {phases!r}; give some of a, b, c, s1, s2, in this order"
+    for branch in network.branches:
+        if (primitive := branch.primitive) is None:
+            if texts.get(branch.from_bus) or texts.get(branch.to_bus):
+                yield f"branch {branch.id} joins buses with phases; give it admittances over its ports"
+            continue
+        ports = 0
+        for bus, phases in ((branch.from_bus, primitive.from_phases), (branch.to_bus, primitive.to_phases)):
+            ports += len(list_phases(phases))
+            if missing := sorted({*list_phases(phases)} - {*list_phases(texts.get(bus, ""))}):
+                yield f"branch {branch.id} has phase {', '.join(missing)} at bus {bus}, which lacks it"
+        for y in (primitive.y, primitive.charging):
+            if y.shape != (ports, ports) or not np.isfinite(y).all():
+                yield f"branch {branch.id}: admittances over its {ports} ports are no finite {ports} x {ports} matrix"
 
 
 def _find_problems_of_generators(network: Network) -> Iterable[str]:

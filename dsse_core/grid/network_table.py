@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dsse_core.grid.columns import Rows, read_column
+from dsse_core.grid.columns import Rows, read_column, read_given
+from dsse_core.grid.nodes import BALANCED, PhaseRows, Primitive, read_phases
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -21,7 +22,8 @@ class NetworkTable:
 
     ``active`` (n_branch,): rows of the branches in service. Of these, in the order of the rows of the branch
     admittances: ``f``, ``t`` the rows of their ends, ``ys`` their series admittance, ``ends`` the admittance at each
-    end, ``ratio`` their complex tap ratio. ``shunt`` (n_bus,) complex.
+    end, ``ratio`` their complex tap ratio. ``shunt`` (n_bus,) complex. ``phases`` (n_bus,): set of phases of each bus.
+    ``primitives``: row of a branch -> its admittances over its ports, of all branches where buses have phases.
     """
 
     bus_id: np.ndarray
@@ -35,6 +37,27 @@ class NetworkTable:
     tap: np.ndarray
     shift: np.ndarray
     in_service: np.ndarray
+    phases: np.ndarray
+    primitives: Mapping[int, Primitive]
+
+    @cached_property
+    def nodes(self) -> PhaseRows:
+        """Nodes: the phases of the buses."""
+        return PhaseRows(self.phases)
+
+    @cached_property
+    def ports(self) -> PhaseRows:
+        """Ports: the phases of the from ends, then of the to ends, of the branches in service."""
+        if self.nodes.is_balanced:
+            return PhaseRows(np.full(2 * len(self.active), BALANCED))
+        primitives = [self.primitives[k] for k in self.active.tolist()]
+        return PhaseRows(read_phases([*(p.from_phases for p in primitives), *(p.to_phases for p in primitives)]))
+
+    @cached_property
+    def port_node(self) -> np.ndarray:
+        """The node of each port, (n_port,)."""
+        bus: np.ndarray = np.concatenate([self.f, self.t])[self.ports.item]
+        return self.nodes.find(bus, self.ports.phase)
 
     @cached_property
     def rows(self) -> Rows:
@@ -109,6 +132,8 @@ class NetworkTable:
             and self.series.all()
             and self.end_rows.min(initial=0) >= 0
             and (self.end_rows[0] != self.end_rows[1]).all()
+            and self.nodes.is_balanced
+            and not self.primitives
         )
 
 
@@ -128,7 +153,14 @@ def tabulate(buses: Sequence[Any], branches: Sequence[Any]) -> NetworkTable:
         tap=read_column(branches, "tap", float),
         shift=read_column(branches, "shift", float),
         in_service=read_column(branches, "in_service", bool),
+        phases=_read_phases(buses),
+        primitives={k: p for k, p in enumerate(read_given(branches, "primitive")) if p is not None},
     )
+
+
+def _read_phases(buses: Sequence[Any]) -> np.ndarray:
+    texts = tuple(read_given(buses, "phases"))
+    return read_phases(texts) if any(texts) else np.full(len(buses), BALANCED)
 
 
 def _complex(real: np.ndarray, imag: np.ndarray) -> np.ndarray:

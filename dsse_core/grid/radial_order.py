@@ -95,7 +95,7 @@ def order_tableau(
 
     Args:
         free: positions in x = [va; vm; powers] of the columns.
-        powers: the rows of the buses of these powers.
+        powers: the nodes of these powers.
         others: further rows in the columns ``free``; each comes just before the last of its columns.
         read: meters whose readings are further columns, beside the voltages of their bus.
     """
@@ -105,6 +105,7 @@ def order_tableau(
     else:
         place = np.empty(n, dtype=np.int64)
         place[tree.order[::-1]] = np.arange(n)
+    place = place[network.table.nodes.item]
     of_voltages = 3 * place + 2
     of_columns = np.concatenate([of_voltages, of_voltages, of_voltages[np.array(powers, dtype=int)]])[free]
     of_rows = [_place_meters(place, model)]
@@ -122,16 +123,16 @@ def order_tableau(
 
 
 def _place_meters(place: np.ndarray, model: MeasurementModel) -> np.ndarray:
-    """The place of each meter, (n_meas,), where the voltages of buses have 3 ``place`` + 2."""
+    """The place of each meter, (n_meas,), where the voltages of nodes have 3 ``place`` + 2."""
     injections = np.isin(model.kinds, _INJECTIONS)
     outermost = np.minimum.reduceat(place[model.y.indices], model.y.indptr[:-1]) if len(injections) else injections
-    return np.where(injections, 3 * place[model.bus_row], 3 * outermost + 1)
+    return np.where(injections, 3 * place[model.node], 3 * outermost + 1)
 
 
 def _find_owners(place: np.ndarray, model: MeasurementModel, of_meter: np.ndarray) -> np.ndarray:
     """The place of the bus that each meter belongs to, (n_meas,): on a branch the bus that comes first."""
     at_branch = np.isin(model.kinds, _AT_BRANCHES)
-    return np.where(at_branch, of_meter // 3, place[model.bus_row])
+    return np.where(at_branch, of_meter // 3, place[model.node])
 
 
 def _place_others(others: sp.csr_array, of_columns: np.ndarray) -> np.ndarray:

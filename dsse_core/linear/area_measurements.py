@@ -26,10 +26,10 @@ Backend = Literal["auto", "radial", "sparse", "dense"]
 class AreaMeasurements:
     """The measurements of one area as functions of ``x = [va; vm; p_1, q_1, p_2, q_2, ...]``: powers into children.
 
-    ``free``: the variables that are unknown, all but a reference angle. ``backend``: see ``linear.choose_backend``.
-    ``method``: the weights that follow from residuals and sigmas. ``further``: rows beside those of the meters, such
-    as voltages that count as read where neighbours or readings are missing. ``held_back``: rows of measurements that
-    do not count yet.
+    ``free``: the variables that are unknown, all but the angles of a reference bus. ``backend``: see
+    ``linear.choose_backend``. ``method``: the weights that follow from residuals and sigmas. ``further``: rows beside
+    those of the meters, such as voltages that count as read where neighbours or readings are missing. ``held_back``:
+    rows of measurements that do not count yet.
     """
 
     area: Area
@@ -74,16 +74,17 @@ class AreaMeasurements:
 
     @property
     def size(self) -> int:
-        return 2 * self._n + int(self.into_children.shape[1])
+        return 2 * self.n_nodes + int(self.into_children.shape[1])
 
     @property
     def couples_many(self) -> bool:
         """True where one of the further rows reads many buses."""
         return any(rows.couples_many for rows in self.further)
 
-    @property
-    def _n(self) -> int:
-        return len(self.area.network.buses)
+    @cached_property
+    def n_nodes(self) -> int:
+        """The number of nodes, of which x has va and vm."""
+        return self.area.network.n_nodes
 
     @property
     def kinds(self) -> np.ndarray:
@@ -153,8 +154,8 @@ class AreaMeasurements:
     @cached_property
     def _column(self) -> dict[Variable, int]:
         """Variable of a boundary -> its position in x, for all that x has."""
-        row, n = self.area.network.row, self._n
+        node, n = self.area.network.node, self.n_nodes
         first = {Kind.VA: 0, Kind.VM: n}
         shared = (variable for boundary in self.area.boundaries.values() for variable in boundary.variables)
-        of_voltages = {v: first[v.kind] + row[v.bus] for v in shared if v.kind in first}
+        of_voltages = {v: first[v.kind] + node(v.bus, v.phase) for v in shared if v.kind in first}
         return of_voltages | {power: 2 * n + k for k, power in enumerate(self.area.powers_into_children)}

@@ -29,7 +29,7 @@ class _AtNoLoad(RowSolver):
 
     def least_information(self, columns: np.ndarray) -> np.ndarray:
         """NO_LOAD_NOT_YET of voltages; of powers times their weight in a power meter."""
-        of_voltage = columns < 2 * len(self.model.area.network.buses)
+        of_voltage = columns < 2 * self.model.n_nodes
         return NO_LOAD_NOT_YET * np.where(of_voltage, 1.0, self.sigma_of_power**-2)
 
 

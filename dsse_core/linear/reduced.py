@@ -193,7 +193,7 @@ class ReducedSolver(RowSolver):
         """
         if self._reduced is None or not np.array_equal(self._reduced.x, x):
             within = self._reduce_voltages(x)
-            power = x[2 * len(self.model.area.network.buses) :]
+            power = x[2 * self.model.n_nodes :]
             if len(power) and self.model.method is least_squares:
                 within = within._replace(turned=_with_power(within.turned, power), rows=_with_power(within.rows, power))
             boundaries = {neighbour.area: self._boundary(x, neighbour) for neighbour in self.model.area.neighbours}
@@ -203,7 +203,7 @@ class ReducedSolver(RowSolver):
     def _reduce_voltages(self, x: np.ndarray) -> _Eliminated:
         """Elimination of the voltages within the area; without power into children where that changes no weights."""
         if self.model.method is least_squares:
-            x = np.where(np.arange(len(x)) < 2 * len(self.model.area.network.buses), x, 0.0)
+            x = np.where(np.arange(len(x)) < 2 * self.model.n_nodes, x, 0.0)
         if self._within is None or not np.array_equal(self._within[0], x):
             self._within = x, _eliminate(self._weighted_rows(x), self._order.n_within)
         return self._within[1]

@@ -33,7 +33,7 @@ class RowSolver(LinearArea):
         self.name = name
         self.declined = Counter()
         self.model, self.rows = model, rows
-        n_voltage = 2 * len(model.area.network.buses)
+        n_voltage = 2 * model.n_nodes
         self._least = np.where(np.arange(model.size) < n_voltage, NOT_YET, NOT_YET_OF_POWER)
 
     def with_readings(self, model: AreaMeasurements) -> Self:

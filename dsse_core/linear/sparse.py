@@ -24,7 +24,7 @@ def order_of(
 ) -> TableauOrder:
     """Order of the tableau of the area's meters, ``others`` and ``read`` in ``columns``; see ``order_tableau``."""
     network = area.area.network
-    powers = [network.row[power.bus] for power in area.area.powers_into_children]
+    powers = [network.node(power.bus, power.phase) for power in area.area.powers_into_children]
     return order_tableau(network, area.area.entry_bus, area.model, columns, powers=powers, others=others, read=read)
 
 
@@ -43,7 +43,7 @@ class SparseRows(Rows):
 
     def __init__(self, area: AreaMeasurements) -> None:
         self._area = area
-        self._n = len(area.area.network.buses)
+        self._n = area.n_nodes
         self._kept = Kept()
         self._at = self._voltages_at = b""  # of the numbers that are kept: steps, messages and variances ask in turn
         self._h: np.ndarray | None = None
@@ -159,7 +159,7 @@ class SparseRows(Rows):
         """
         assert self._area.into_area is not None
         found = []
-        for k, bus in enumerate(self._area.into_area.bus_row[::2].tolist()):
+        for k, bus in enumerate(self._area.into_area.node[::2].tolist()):
             y = self._area.into_area.y[[2 * k], :].tocoo()
             columns, values = y.coords[1], y.data.conj()
             at_bus = columns == bus

@@ -91,6 +91,7 @@ def build_power_flow_plan(
         InvalidInputError: no slack bus, buses that it does not reach, unknown buses in the arguments, sweeps asked for
             that cannot serve.
     """
+    network.check_balanced("a power flow")
     slack_bus, slack_vm, slack_va = _slack_of(network, slack)
     if problems := list(_find_problems(network, slack_bus, slack_vm, extra_load or {})):
         raise InvalidInputError(f"power flow of network {network.name!r}", problems)

@@ -28,6 +28,7 @@ SLOTS_AT_PARENT = {MeasurementKind.P_FLOW: 4, MeasurementKind.Q_FLOW: 5, Measure
 SLOTS_AT_CHILD = {MeasurementKind.P_FLOW: 7, MeasurementKind.Q_FLOW: 8, MeasurementKind.CURRENT: 9}
 _COLUMNS = np.array([[slots.get(k, -1) for k in KINDS] for slots in (SLOTS_AT_BUS, SLOTS_AT_PARENT, SLOTS_AT_CHILD)])
 N_SLOT = 10
+WITH_PHASES = "buses have phases, and compiled passes know one voltage a bus"
 N_VOLTAGE_SLOT = 2  # the first slots of a bus read its voltage: angle, magnitude
 
 
@@ -104,6 +105,8 @@ def plan_tree(network: Network, meters: Sequence[Meter], root: int) -> tuple[Rad
     That is NOT_STUCK where they do. Returns text and raises as ``build_radial_plan``.
     """
     table = network.table
+    if not table.nodes.is_balanced:
+        return WITH_PHASES
     if (obstacle := compiling.find_obstacle(n_bus=len(table.bus_id))) is not None:
         return obstacle
     angle = float(network.slack.va) if network.slack and network.slack.bus == root else 0.0

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dsse_core.grid.admittance import find_two_ports
 from dsse_core.grid.network import Network
 
 
@@ -13,8 +14,8 @@ from dsse_core.grid.network import Network
 class BranchModel:
     """All branches of a network as arrays, (n_branch,), in the order of ``network.branches``.
 
-    ``f``, ``t``: rows of their buses. ``yff``, ``yft``, ``ytf``, ``ytt``: admittances as in ``build_admittance``, of
-    branches in service, 0 for other branches. ``det``: ``yff ytt - yft ytf``, found without cancellation.
+    ``f``, ``t``: rows of their buses. ``yff``, ``yft``, ``ytf``, ``ytt``: see ``find_two_ports``; 0 for branches
+    out of service. ``det``: ``yff ytt - yft ytf``, found without cancellation.
     """
 
     f: np.ndarray
@@ -29,13 +30,13 @@ class BranchModel:
 
 def build_branch_model(network: Network) -> BranchModel:
     """The branches of ``network``, those out of service included."""
+    network.check_balanced("the table of its branches")
     table = network.table
-    (f, t), in_service, tap = table.end_rows, table.in_service, table.tap
-    ys = in_service / table.series
-    end = in_service * 0.5 * table.charging
-    ytt, ratio = ys + end, tap * np.exp(1j * table.shift)
-    det = end * (2 * ys + end) / tap**2
-    return BranchModel(f, t, ytt / tap**2, -ys / ratio.conj(), -ys / ratio, ytt, det, in_service)
+    (f, t), in_service = table.end_rows, table.in_service
+    yff, yft, ytf, ytt = (in_service * y for y in find_two_ports(table, np.arange(len(in_service))))
+    end = 0.5 * table.charging
+    det = in_service * end * (2 / table.series + end) / table.tap**2
+    return BranchModel(f, t, yff, yft, ytf, ytt, det, in_service)
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ class BusArrays:
         return cls(read_ids(_take(given, "id", n, 0)), _take(given, "name", n, ""), base_kv, *scaled, *place)
 
     def build(self) -> Records[Bus]:
-        columns = {field.name: getattr(self, field.name) for field in fields(Bus)}
+        columns = {field.name: getattr(self, field.name) for field in fields(Bus) if hasattr(self, field.name)}
         return Records(Bus, _without_unknown(columns, ("x", "y")))
 
 
@@ -121,7 +121,7 @@ class BranchArrays:
         )
 
     def build(self) -> Records[Branch]:
-        columns = {field.name: getattr(self, field.name) for field in fields(Branch)}
+        columns = {field.name: getattr(self, field.name) for field in fields(Branch) if hasattr(self, field.name)}
         return Records(Branch, _without_unknown(columns, ("i_max", "s_max")) | {"id": self._name()})
 
     def _name(self) -> list[str]:

@@ -1,0 +1,83 @@
+"""Nodes and ports: a node is a phase of a bus, a port the end of a branch at a node.
+
+A balanced bus has one node, of the phase "". Rows of nodes follow the buses, rows of ports all from ends, then all to
+ends of the branches in service; the phases of a bus or of an end stand in the order of ``PHASES``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+PHASES = ("", "a", "b", "c", "s1", "s2")  # "": all three of a balanced network; s1, s2 of split-phase secondaries
+PHASE_ANGLE = np.radians([0.0, 0.0, -120.0, 120.0, 0.0, 180.0])  # of each phase at a substation of angle 0
+BALANCED = 1  # set of phases, a bit for each: that of a balanced bus
+_BIT = 1 << np.arange(len(PHASES))
+
+
+def read_phases(texts: Iterable[str]) -> np.ndarray:
+    """The set of phases of each text, such as "" or "abc", (n,), a bit for each phase; 0 where it is none, or where
+    its phases do not stand in the order of PHASES.
+    """
+    return np.array([_read_set(text) for text in texts], dtype=np.int64)
+
+
+def list_phases(text: str) -> list[str]:
+    """The phases of a text, such as ["a", "b"] of "ab", in its order; [""] of ""; empty where it is none."""
+    found = re.findall("[abc]|s[12]", text)
+    return ([""] if not text else found) if "".join(found) == text else []
+
+
+def _read_set(text: str) -> int:
+    phases = list_phases(text)
+    return sum(1 << PHASES.index(phase) for phase in phases) if phases == sorted(set(phases), key=PHASES.index) else 0
+
+
+class PhaseRows:
+    """Rows of the phases of items, item by item: of buses the nodes, of branch ends the ports.
+
+    ``sets`` (n_item,): the phases of each item, see ``read_phases``. ``item``, ``phase`` (n,): the item and the place
+    in PHASES of each row.
+    """
+
+    def __init__(self, sets: np.ndarray) -> None:
+        self.sets, self.is_balanced = sets, bool((sets == BALANCED).all())
+        if self.is_balanced:
+            self.item, self.phase = np.arange(len(sets)), np.zeros(len(sets), dtype=np.int64)
+        else:
+            self.item, self.phase = np.nonzero(sets[:, None] & _BIT)
+        self._first = self.item if self.is_balanced else np.searchsorted(self.item, np.arange(len(sets)))
+
+    def __len__(self) -> int:
+        return len(self.item)
+
+    def find(self, item: np.ndarray, phase: np.ndarray | int = 0) -> np.ndarray:
+        """The row of each item and phase, (k,); -1 where there is none, and of the item -1."""
+        if self.is_balanced and not np.any(phase):
+            return item
+        bit = np.left_shift(1, phase)
+        before = np.bitwise_count(self.sets[item] & (bit - 1))
+        is_there = (item >= 0) & (self.sets[item] & bit != 0)
+        return np.where(is_there, self._first[item] + before, -1)
+
+    def at(self, item: int) -> np.ndarray:
+        """The rows of one item."""
+        first = int(self._first[item])
+        return np.arange(first, first + int(self.sets[item]).bit_count())
+
+
+@dataclass(frozen=True, eq=False)
+class Primitive:
+    """A branch with phases: its admittance over its ports, the phases at its from end, then those at its to end.
+
+    ``y`` (n_port, n_port), complex, p.u. (of a third of the power base, and of voltages to ground): currents into the
+    ports for voltages of their nodes. ``charging``: the part of it that draws current without load.
+    """
+
+    from_phases: str
+    to_phases: str
+    y: np.ndarray
+    charging: np.ndarray
