@@ -156,9 +156,8 @@ class Admm(Strategy):
         return sigma
 
     def _estimate(self, model: AreaModel) -> Estimate:
-        n = len(self._area.network.buses)
+        n = model.n_nodes
         weighted = model.residual(self._x) / model.sigma
-        owned = n - len(self._area.not_owned)
         return Estimate(
             vm=self._x[n : 2 * n],
             va=self._x[:n],
@@ -166,7 +165,7 @@ class Admm(Strategy):
             sigma_va=self._sigma[:n],
             referenced=self._has_own_angle or any(b.angle_received for b in self._boundaries.values()),
             objective=float(weighted @ weighted),
-            degrees_of_freedom=len(model.z) - 2 * owned + self._area.is_reference,
+            degrees_of_freedom=len(model.z) - self._area.n_unknown,
             removed=(),
             settled=self._moved <= SETTLED,
         )

@@ -77,7 +77,7 @@ class EstimationPlan:
     @property
     def degrees_of_freedom(self) -> int:
         """Measurements + constraints - state variables."""
-        return len(self.meters) - (2 * len(self.network.buses) - 1)
+        return len(self.meters) - (2 * self.network.n_nodes - len(self.network.nodes_at(self.reference)))
 
 
 def build_estimation_plan(
@@ -90,7 +90,7 @@ def build_estimation_plan(
     """Plan for scans of ``meters``, which are checked here and not again.
 
     Args:
-        reference: bus whose angle is given; the slack bus by default.
+        reference: bus whose nodes have given angles; the slack bus by default.
         backend: ``radial`` (compiled, radial networks, numba), ``sparse`` (any network), or ``auto``: radial where it
             can serve and the network has FEWEST_BUSES_OF_RADIAL buses or more, whatever is loaded already.
 

@@ -34,8 +34,7 @@ def find_objective(model: AreaModel, x: np.ndarray) -> float:
 
 def count_freedom(model: AreaModel) -> int:
     """The area's part of the degrees of freedom."""
-    owned = len(model.area.network.buses) - len(model.area.not_owned)
-    return len(model.meters) - 2 * owned + model.area.is_reference
+    return len(model.meters) - model.area.n_unknown
 
 
 @dataclass(frozen=True)
@@ -78,11 +77,11 @@ class NoLoadModel:
         fit = self._fit(self._at_own_voltage(received))
         undetermined = np.zeros(self.model.size, dtype=bool)
         undetermined[self.model.free] = find_touched(fit.find_null_vectors())
-        buses = self.model.area.network.buses
-        of_buses = undetermined[: 2 * len(buses)].reshape(2, -1).any(axis=0)
+        network, n = self.model.area.network, self.model.n_nodes
+        rows = network.table.nodes.item[undetermined[: 2 * n].reshape(2, n).any(axis=0)]
         unchecked = fit.find_unchecked()[: len(self.ids)]
         return (
-            tuple(buses[k].id for k in np.flatnonzero(of_buses).tolist()),
+            tuple(network.table.bus_id[np.unique(rows)].tolist()),
             frozenset(self.ids[k] for k in np.flatnonzero(unchecked).tolist()),
         )
 
@@ -93,7 +92,7 @@ class NoLoadModel:
         depends.
         """
         model = self.model
-        of_power = np.arange(model.size) >= 2 * len(model.area.network.buses)
+        of_power = np.arange(model.size) >= 2 * model.n_nodes
         H = self.linear.stack(self.x, received)[0]
         H = sp.csr_array(H @ sp.diags_array(np.where(of_power, self.typical, 1.0)))
         to_one = reciprocal_row_lengths(H)
@@ -115,7 +114,7 @@ class NoLoadModel:
     def _voltage_of(self, neighbour: Neighbour) -> np.ndarray:
         """Factors from relative numbers to y, shape (d,)."""
         network, boundary = self.model.area.network, self.model.boundary_of(neighbour)
-        vm = self.x[[len(network.buses) + network.row[variable.bus] for variable in boundary.variables]]
+        vm = self.x[[network.n_nodes + network.node(v.bus, v.phase) for v in boundary.variables]]
         return np.array([size ** int(degree) for size, degree in zip(vm.tolist(), boundary.degrees, strict=True)])
 
 

@@ -41,11 +41,11 @@ class Neighbour:
 class Area:
     """The knowledge that one area has of the grid: its own part of the network and its neighbours' names.
 
-    ``network`` holds the area's buses and branches; load, shunt and generators of a boundary bus stand only
-    in the network of its owner. ``slack_bus`` is where the local power flow holds the voltage; ``slack_vm``
-    its set-point in p.u., None when it is the voltage that the parent publishes for that bus. ``reference``:
-    bus and angle (rad) of the substation, in every area that sees it. ``towards_hub``: the neighbour on the way to the
-    hub, None in the hub. ``n_areas``: number of areas of the grid. ``entry_voltage``: (vm, va), p.u. and rad, of
+    ``network`` holds the area's buses and branches; load, shunt and generators of a boundary bus stand only in the
+    network of its owner. ``slack_bus`` is where the local power flow holds the voltage; ``slack_vm`` its set-point in
+    p.u., None when it is the voltage that the parent publishes for that bus. ``reference``: bus and angle (rad) of the
+    substation, in every area that sees it: its nodes have given angles. ``towards_hub``: the neighbour on the way to
+    the hub, None in the hub. ``n_areas``: number of areas of the grid. ``entry_voltage``: (vm, va), p.u. and rad, of
     ``entry_bus`` in the unloaded grid. ``no_load``: (bus, vm, va) of the boundary buses in the unloaded grid, where
     taps or shifts do not cancel around a loop: the area alone would find other voltages.
     """
@@ -99,6 +99,13 @@ class Area:
     def not_owned(self) -> tuple[int, ...]:
         """The area's buses that the parent owns."""
         return self.boundaries[self.parent.area].buses if self.parent else ()
+
+    @cached_property
+    def n_unknown(self) -> int:
+        """The number of unknown magnitudes and angles of the nodes that the area owns."""
+        network, slack = self.network, self.network.slack
+        not_owned = sum(len(network.nodes_at(bus)) for bus in self.not_owned)
+        return 2 * (network.n_nodes - not_owned) - (len(network.nodes_at(slack.bus)) if slack else 0)
 
     @cached_property
     def powers_into_children(self) -> tuple[Variable, ...]:

@@ -15,7 +15,7 @@ from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear import Backend, LinearArea, Matrix, Rows, make_linear, make_rows
-from dsse_core.linear.area_measurements import AreaMeasurements
+from dsse_core.linear.area_measurements import NO_ROWS, AreaMeasurements
 from dsse_core.linear.boundary_information import EXACT_SIGMA
 from dsse_core.linear.contributions import FurtherRows
 from dsse_core.linear.whole_grid import GridSolver
@@ -98,8 +98,8 @@ def build_area_model(
     counted = [(row, k) for row, m in enumerate(measurements) for k in powers.get((m.meter.kind, m.meter.bus), ())]
     rows, columns = zip(*counted, strict=True) if counted else ((), ())
     shape = (len(measurements), len(area.powers_into_children))
-    size = 2 * len(network.buses) + shape[1]
-    fixed = [] if reference is None else [network.row[reference]]
+    size = 2 * network.n_nodes + shape[1]
+    fixed = NO_ROWS if reference is None else network.nodes_at(reference)
     to_parent = area.boundaries[area.parent.area].variables if area.parent else ()
     at_parent = [Meter(INJECTION[v.kind], v.bus) for v in to_parent if v.kind in INJECTION]
     return AreaModel(
@@ -129,7 +129,7 @@ def build_whole_grid(network: Network, meters: Sequence[Meter], reference: int) 
         into_area=None,
         z=nothing,
         sigma=nothing,
-        free=np.delete(np.arange(len(flat)), network.row[reference]),
+        free=np.delete(np.arange(len(flat)), network.nodes_at(reference)),
         meters=meters,
         reference=reference,
     )
