@@ -171,7 +171,8 @@ def evaluate(
 def _find_causes(scenario: Scenario, observer: Observer, now: float, shown_at: float) -> tuple[Cause, ...]:
     """Root causes at time ``now`` of the observer's clock."""
     view, known = observer.watcher.look(now), GridTables(scenario)
-    return find_causes(view, shown_at, summarise(find_tables(observer.watcher, view, known), known))
+    summary = summarise(find_tables(observer.watcher, view, known), known)
+    return find_causes(view, shown_at, summary, with_magnitudes=observer.compare_magnitudes)
 
 
 def start_reference_estimate(estimate: Callable[[], Centralised]) -> Future[Centralised]:

@@ -130,12 +130,15 @@ def write_time(at: float) -> str:
     return time.strftime("%H:%M:%S", time.localtime(at)) if at >= EPOCH_S else f"{at:.1f} s"
 
 
-def find_causes(view: View, at: float, summary: Summary | None = None) -> tuple[Cause, ...]:
+def find_causes(
+    view: View, at: float, summary: Summary | None = None, *, with_magnitudes: bool = False
+) -> tuple[Cause, ...]:
     """The root causes of what is wrong in ``view``, the first one first; empty where nothing is.
 
     ``at``: time of the view, s since 1970 or from the begin of a playback. ``summary``: of its grid.
+    ``with_magnitudes``: True where the strategy is known to reconcile voltage magnitudes: those of good states agree.
     """
-    found = _Findings(view, at - view.now)
+    found = _Findings(view, at - view.now, with_magnitudes)
     roots = [*found.find(), *(found.find_violations(summary) if summary else ())]
     kinds = {cause.kind for cause in roots}
     roots = [cause for cause in roots if not EXPLAINED.get(cause.kind, set()) & kinds]
@@ -151,6 +154,7 @@ class _Findings:
 
     view: View
     offset: float
+    with_magnitudes: bool
 
     @cached_property
     def areas(self) -> dict[str, AreaView]:
@@ -325,7 +329,7 @@ class _Findings:
         for area in self.there.values():
             for other, met in area.meetings.items():
                 is_sure = other in self.there and area.said_quality == self.there[other].said_quality == GOOD
-                seen = _Difference(met.at, met.vm or 0.0, met.va or 0.0, None)
+                seen = _Difference(met.at, (self.with_magnitudes and met.vm) or 0.0, met.va or 0.0, None)
                 if is_sure and seen.size > DISAGREES:
                     pairs.setdefault(frozenset((area.name, other)), seen)
         named = Counter(name for pair in pairs for name in pair)

@@ -11,11 +11,13 @@ import pytest
 from agents.messages.packing import Incarnation
 from agents.peers.clock_skew import Skew
 from agents.protocol import quality
+from consensus_dsse import simulate
 from coordinator.watch.observe.causes import KINDS, WORDS, find_causes
 from coordinator.watch.observe.notes import read_notes
 from coordinator.watch.observe.view import View
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.split_identity import SplitIdentity, SplitUse
+from scenarios.files.shipped_files import find_shipped
 from tests.support.faulted import FAULTS, SEEN_AT_S, Feeder, run_with, words_of
 from tests.support.levels import further
 from tests.support.shown_states import published_by
@@ -40,6 +42,52 @@ def test_a_fault_has_one_root_cause_and_all_else_is_its_effect(fault: str, tmp_p
     poor = [area.name for area in feeder.watcher.look(SEEN_AT_S).areas if area.quality != "good"]
     itself = {"gone": ("area2",), "router": cause.areas}.get(cause.kind, ())
     assert [effect.split()[0] for effect in cause.effects] == [name for name in poor if name not in itself]
+
+
+FURTHER = {
+    "a clock too far off for any message": (
+        {"run.scan_s": 1.0, "faults.clock_error_s": {"area2": 700.0}},
+        "the clock of area2 is 700 s ahead since ",
+    ),
+    "a clock too far behind for any message": (
+        {"run.scan_s": 1.0, "faults.clock_error_s": {"area2": -700.0}},
+        "the clock of area2 is 700 s behind since ",
+    ),
+    "a link that works one way": (
+        {"faults.link": [{"from": "area1", "to": "area2", "loss": 1.0}]},
+        "area2 has received nothing from area1: ",
+    ),
+    "a false count": (
+        {"faults.link": [{"from": "area1", "to": "area2", "lie": {"objective": 100.0}}]},
+        "area2 does not believe area1: it is at the end ",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FURTHER)
+def test_further_faults_have_one_root_cause_each(fault: str):
+    changes, words = FURTHER[fault]
+    feeder = Feeder(changes)
+    feeder.bus.run(SEEN_AT_S)
+    (cause,) = feeder.find_causes()
+    assert str(cause).startswith(words)
+
+
+def test_an_area_that_hangs_is_silent_and_its_neighbours_are_effects():
+    feeder = Feeder({})
+    feeder.bus.run(4.0)
+    feeder.bus.pause("area2")
+    feeder.bus.run(5.0)
+    (cause,) = feeder.find_causes()
+    assert (cause.what, cause.areas, cause.since) == ("area2 has sent nothing", ("area2",), pytest.approx(3.8))
+    assert [effect.split()[0] for effect in cause.effects] == ["area1", "area3"]
+
+
+@pytest.mark.parametrize("name", ["ieee33-thesis", "ieee33-load-error", *further(*sorted(find_shipped("shipped")))])
+def test_no_shipped_scenario_but_the_liar_ends_with_a_cause(name: str, tmp_path: Path):
+    """Strategies that reconcile angles alone leave magnitudes apart, and nobody lies."""
+    result = simulate(name, out=tmp_path / "out", plots=False)
+    assert [cause.kind for cause in result.causes] == (["mismatch"] if name == "ieee33-liar" else [])
 
 
 def test_a_branch_beyond_its_rating_is_named_with_its_loading(tmp_path: Path):
