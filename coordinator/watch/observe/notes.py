@@ -70,5 +70,5 @@ def _read(notes: Iterable[str]) -> Iterator[Noted]:
     for note in notes:
         for kind, form in _FORMS:
             if found := form.fullmatch(note):
-                yield Noted(kind, {name: part for name, part in found.groupdict().items() if part})
+                yield Noted(kind, {name: part for name, part in found.groupdict().items() if part is not None})
                 break

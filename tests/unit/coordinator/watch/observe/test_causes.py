@@ -7,6 +7,8 @@ import re
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from agents.messages.packing import Incarnation
 from agents.peers.clock_skew import Skew
@@ -206,6 +208,40 @@ def test_every_note_that_names_a_cause_is_read():
         (finding,) = found
         (noted,) = read_notes((finding.note,), (), None, 0.0)
         assert (noted.kind, noted.parts["other"]) == (kind, "plant" if kind == "map" else "area2")
+
+
+WORD = st.text(max_size=12) | st.sampled_from(["area1", "area2", "this area", "telemetry", "nan", "1e999", "-1", "{x}"])
+FORGED = [
+    "boundary mismatch with {0} at bus 6: its final voltage differs by {1} p.u. and {2} deg; {1}",
+    "{0} is not believed: {1}",
+    "5 of 3 areas are counted: {0} says false things, or passes them on",
+    "the clock of {0} is {1} s ahead of that of this area; {2}",
+    "{0} is rejected, from 700 s in the future: {1}",
+    "{0} is rejected: {1}",
+    "the file of {0} is older{1}: {2}",
+    "all power readings of gateway {0} look wrong, {1}: {2}",
+    "not observable: no reading of this scan determines buses {0}",
+    "no estimate: {0}",
+    "{0} % of the readings of this area are overdue or missing, {1}",
+    "readings contradict each other ({0}); {1} stands out",
+    "{0} is removed, and the readings do not tell it from {1}: check {2}",
+    "voltages of 3 buses are outside {0}, the farthest is {1} p.u. at bus {2}",
+    "payloads of {0} are rejected, {1}",
+]
+NOTE = st.builds(lambda form, *words: form.format(*words), st.sampled_from(FORGED), WORD, WORD, WORD)
+
+
+@given(st.dictionaries(st.sampled_from(["area1", "area2", "x\x1b[0m"]), st.lists(NOTE | st.text(), max_size=5)))
+def test_notes_that_a_hostile_area_forges_break_nothing_and_are_shown_as_text(notes: dict[str, list[str]]):
+    watcher = Watcher("run")
+    for name, said in notes.items():
+        state = published_by(name, Incarnation(1, 1), notes=tuple(said), quality="degraded", removed=("{}", "vm@9"))
+        watcher.take_presence(f"dsse/v3/run/live/area/{name}/1-00000001", True)
+        watcher.take_state(state, 0.0)
+    causes = find_causes(watcher.look(0.0), 0.0)
+    assert bool(causes) == bool(notes) or not notes
+    assert all(text.isprintable() for cause in causes for text in (str(cause), *cause.effects))
+    assert all({*cause.areas} <= notes.keys() for cause in causes)
 
 
 def test_the_words_of_the_docs_are_those_of_the_code():
