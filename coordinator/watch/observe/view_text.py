@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from agents.protocol.quality import DEGRADED, GOOD
+from agents.protocol.quality import DEGRADED, GOOD, QUALITIES
 from coordinator.watch.interrupts import Held
 from coordinator.watch.observe.causes import Cause
 from coordinator.watch.observe.summary import Extent, Power, Summary
@@ -72,7 +72,7 @@ def fit_view(
 ) -> list[tuple[str, str]]:
     """Lines and their styles, ``height`` at most: causes, areas, and as many rows of ``tables`` as fit.
 
-    Where not all areas fit, those of a quality other than good come first.
+    Where not all areas fit, those of the worst quality come first.
     """
     beside = 3  # lines of a table beside its rows: an empty one, the heading, the number of rows left out
     room = height - len(tables) * (LEAST_ROWS + beside)
@@ -80,7 +80,8 @@ def fit_view(
     lines = [*first, *_write_view(view, width, summary)]
     if len(lines) > room:
         shown = max(1, room - 1)
-        worst_first = sorted(view.areas, key=lambda area: area.quality == GOOD)
+        rank = {quality: -k for k, quality in enumerate(QUALITIES)}
+        worst_first = sorted(view.areas, key=lambda area: rank.get(area.quality, -len(rank)))
         lines = [*first, *_write_view(replace(view, areas=tuple(worst_first)), width, summary)]
         lines = [*lines[:shown], (f"... and {len(lines) - shown} lines more: --once shows all", "")]
     for k, table in enumerate(tables):
