@@ -46,12 +46,14 @@ def find_state(network: Network, vm: np.ndarray, va: np.ndarray, branches: Branc
 class AreaVoltages:
     """The voltages that an area states of the buses that it sees, in its order: vm p.u., va rad.
 
-    ``referenced``: whether the angles count from the substation. Flows are known without that, too.
+    ``referenced``: whether the angles count from the substation. Flows are known without that, too. ``scan``: number of
+    the scan whose state it is.
     """
 
     vm: np.ndarray
     va: np.ndarray
     referenced: bool
+    scan: int = 0
 
     def __repr__(self) -> str:
         return f"<AreaVoltages of {len(self.vm)} buses, {'absolute' if self.referenced else 'relative'} angles>"
@@ -61,7 +63,8 @@ def join_states(partition: Partition, by_area: Mapping[str, AreaVoltages]) -> Gr
     """The state that areas have found together; an area that is not in ``by_area`` knows nothing.
 
     The voltage of a bus is that of its owner. The flow in a branch follows from the voltages of the area that holds it.
-    The injection of a boundary bus is the sum of the powers into its shunt and the branches of all areas there.
+    The injection of a boundary bus is the sum of the powers into its shunt and the branches of all areas there; nan
+    where their voltages are of different scans.
     """
     network = partition.network
     branches, n = build_branch_model(network), len(network.buses)
@@ -78,7 +81,11 @@ def join_states(partition: Partition, by_area: Mapping[str, AreaVoltages]) -> Gr
         v, table = found.vm * np.exp(1j * found.va), area.network.table
         ends[0, at], ends[1, at] = (v[table.rows.find(end)] for end in (table.from_bus, table.to_bus))
     flows = find_flows(branches, ends[0], ends[1])
-    return GridState(network, branches, vm, va, flows, find_injections(network, branches, flows, vm))
+    injection = find_injections(network, branches, flows, vm)
+    for bus, names in partition.boundaries.items():
+        if len({by_area[name].scan for name in names if name in by_area}) > 1:
+            injection[network.row[bus]] = complex(np.nan, np.nan)
+    return GridState(network, branches, vm, va, flows, injection)
 
 
 def read_state(state: GridState, meters: Sequence[Meter]) -> np.ndarray:

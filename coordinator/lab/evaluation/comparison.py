@@ -120,7 +120,7 @@ def compare(
         sigma=sigma,
         by_area=by_area,
         published={
-            name: AreaVoltages(np.array(state.vm), np.array(state.va), state.referenced)
+            name: AreaVoltages(np.array(state.vm), np.array(state.va), state.referenced, state.header.scan)
             for name, state in states.items()
             if state.buses
         },

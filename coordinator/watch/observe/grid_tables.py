@@ -290,7 +290,7 @@ class GridTables:
 
     def _voltages_of(self, area: str, state: StateMessage) -> AreaVoltages:
         order = self._order_of(area, state.buses)
-        return AreaVoltages(np.array(state.vm)[order], np.array(state.va)[order], state.referenced)
+        return AreaVoltages(np.array(state.vm)[order], np.array(state.va)[order], state.referenced, state.header.scan)
 
 
 def _agree_at(bus: int, one: StateMessage, other: StateMessage, most_vm: float, most_va: float) -> bool:

@@ -18,8 +18,9 @@ from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.results.deviations import choose as deviations
 from dsse_core.results.meters import UNITS, make_meter_table, read_in_own_units
 from dsse_core.results.results import Results, results_of_estimate, results_of_power_flow
-from dsse_core.results.state import find_state, read_state
+from dsse_core.results.state import AreaVoltages, find_state, join_states, read_state
 from dsse_core.results.table import Table
+from scenarios.scenario import load_scenario
 from tests.support.dense_rows import rows_of
 
 Kind = MeasurementKind
@@ -40,6 +41,20 @@ def test_what_meters_read_in_a_state_is_what_the_measurement_model_predicts(mesh
     state = find_state(meshed, truth.vm, truth.va)
     np.testing.assert_allclose(read_state(state, meters), truth.read_all(meters), rtol=0, atol=1e-12)
     np.testing.assert_allclose(state.injection, truth.injection, rtol=0, atol=1e-12)
+
+
+def test_an_injection_is_not_added_up_from_states_of_different_scans():
+    scenario = load_scenario("ieee33")
+    truth, partition = solve_power_flow(scenario.network), scenario.partition
+    rows_of_areas = partition.rows_of_buses.items()
+    states = {name: AreaVoltages(truth.vm[rows], truth.va[rows], True, scan=7) for name, rows in rows_of_areas}
+    np.testing.assert_allclose(join_states(partition, states).injection, truth.injection, rtol=0, atol=1e-12)
+    later = join_states(partition, states | {"area2": replace(states["area2"], scan=8)})
+    ids = scenario.network.table.bus_id
+    assert ids[np.isnan(later.injection)].tolist() == [
+        b for b, names in partition.boundaries.items() if "area2" in names
+    ]
+    assert not np.isnan(later.vm).any()
 
 
 def test_normalised_residuals_are_those_of_dense_algebra(meters_of, read, backend, rich):
