@@ -56,17 +56,8 @@ class NoLoadModel:
     def information_for(self, neighbour: Neighbour, received: Mapping[str, BoundaryInformation]) -> BoundaryInformation:
         information = self.linear.information(self.x, neighbour, self._at_own_voltage(received))
         boundary = self.model.boundary_of(neighbour)
-        if not boundary.is_single:
-            R = _keep_something(information.R, boundary.n_powers, self.typical) * self._voltage_of(neighbour)
-            return BoundaryInformation(R, np.zeros(boundary.d))
-        n, turn = boundary.n_powers, np.eye(boundary.d)
-        # of powers given the voltages, of the voltages
-        for rows, unit in ((slice(n), self.typical), (slice(n, boundary.d), 1.0)):
-            U, size, _ = np.linalg.svd(information.R[rows, rows])
-            is_something = size * unit >= NOTHING_AT_NO_LOAD
-            if not is_something.all():
-                turn[rows, rows] = is_something[:, None] * U.T
-        return BoundaryInformation(np.triu(turn @ information.R) * self._voltage_of(neighbour), turn @ information.z)
+        R = _keep_something(information.R, boundary.n_powers, self.typical) * self._voltage_of(neighbour)
+        return BoundaryInformation(R, np.zeros(boundary.d))
 
     def examine(self, received: Mapping[str, BoundaryInformation]) -> tuple[tuple[int, ...], frozenset[str]]:
         """Ids of unobservable buses, and of indispensable meters, virtual ones included.

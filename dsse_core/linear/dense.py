@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import cast
-
 import numpy as np
 import scipy.sparse as sp
 
@@ -69,9 +67,6 @@ class DenseRows(Rows):
 
     def join(self, parts: list[Matrix]) -> np.ndarray:
         return np.concatenate(parts)
-
-    def full(self, C: Matrix) -> np.ndarray:
-        return cast("np.ndarray", C)
 
     def _move_to(self, x: np.ndarray) -> None:
         """Computes h and H at ``x``, once for each state: steps, messages and variances ask for them in turn."""

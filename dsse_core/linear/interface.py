@@ -85,7 +85,3 @@ class Rows(ABC):
     @abstractmethod
     def join(self, parts: list[Matrix]) -> Matrix:
         """The rows of ``parts`` below each other."""
-
-    @abstractmethod
-    def full(self, C: Matrix) -> np.ndarray:
-        """``C`` as a dense array."""
