@@ -6,7 +6,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Self, cast
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -211,6 +211,3 @@ class SparseRows(Rows):
     ) -> AugmentedFactor:
         """Factor of the augmented system of some ``columns`` of H; ``nearby``: a factor whose pivots may serve."""
         return AugmentedFactor(H, sigma, damping, self.pattern(H, columns), nearby)
-
-    def full(self, C: Matrix) -> np.ndarray:
-        return np.asarray(cast("sp.csr_array", C).toarray())

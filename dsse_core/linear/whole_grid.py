@@ -140,8 +140,8 @@ class GridSolver(TableauSolver):
         wanted = np.argsort(-np.divide(r, model.sigma, out=np.zeros(len(r)), where=~model.virtual), kind="stable")
         return model.real_part(factor.residual_variance(wanted))
 
-    def read(self, x: np.ndarray, read: MeasurementModel) -> JointCovariance:
-        """Covariance of the state and of the readings of perfect meters.
+    def read(self, x: np.ndarray, read: MeasurementModel, joined: tuple[np.ndarray, np.ndarray]) -> JointCovariance:
+        """Covariance of the state and of the readings of perfect meters; ``joined``: the pairs that are asked for.
 
         A reading y = h(x) joins the tableau with the constraint ``H_y dx - dy = 0``. Elimination then finds its
         variance as that of a voltage, and not as a difference of large numbers. The other factors that are kept are
@@ -153,9 +153,12 @@ class GridSolver(TableauSolver):
         of_y = sp.eye_array(H.shape[0] + n_read, n_read, k=-H.shape[0])
         both = sp.csr_array(sp.hstack([sp.vstack([H, read.jacobian(x)]), -of_y], format="csr"))
         order, columns = order_of(self.model, free, None, read), np.append(free, self.model.size + np.arange(n_read))
-        pattern = AugmentedPattern(both, columns)
-        if order.blocks is not None:  # with loops minimum degree of the whole tableau fills in less
-            pattern = AugmentedPattern(both, columns, order=order.rows, blocks=order.blocks)
+        pairs = _place(columns, *joined)[1:]
+        pattern = AugmentedPattern(
+            both, columns, order=order.rows, fills_in=order.fills_in, blocks=order.blocks, joined=pairs
+        )
+        if order.blocks is None and not pattern.is_compiled:  # minimum degree of the whole tableau fills in less
+            pattern = AugmentedPattern(both, columns)
         return JointCovariance(AugmentedFactor(both, np.append(sigma, np.zeros(n_read)), pattern=pattern), columns)
 
 
@@ -167,15 +170,22 @@ class JointCovariance:
 
     def entries(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Covariance of the variables a[k] and b[k], (k,); nan where it would take too long."""
-        place = np.full(self._columns[-1] + 1, -1)
-        place[self._columns] = np.arange(len(self._columns))
-        found, unknown = np.zeros(len(a)), np.flatnonzero((place[a] >= 0) & (place[b] >= 0))
-        found[unknown] = self._factor.covariance_at(place[a[unknown]], place[b[unknown]])
+        unknown, *at = _place(self._columns, a, b)
+        found = np.zeros(len(a))
+        found[unknown] = self._factor.covariance_at(*at)
         return found
 
     def of_sums(self, B: sp.csr_array) -> np.ndarray:
         """diag(B C B'), shape (k,), for ``B`` (k, n), C the covariance; nan where it would take too long."""
         return self._factor.variance_of_sums(B[:, self._columns])
+
+
+def _place(columns: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The pairs of variables a[k], b[k] that are both in ``columns``, and the places of these variables there."""
+    place = np.full(columns[-1] + 1, -1)
+    place[columns] = np.arange(len(columns))
+    unknown = np.flatnonzero((place[a] >= 0) & (place[b] >= 0))
+    return unknown, place[a[unknown]], place[b[unknown]]
 
 
 def _without_rows(H: sp.csr_array, rows: np.ndarray) -> sp.csr_array:

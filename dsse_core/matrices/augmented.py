@@ -54,7 +54,8 @@ class AugmentedPattern:
     """Places of the entries of the tableau, the same for all ``H`` with one pattern.
 
     ``columns`` (n_state,): the columns of H whose variables are unknown; all without it. ``order`` (n_meas + n_state,):
-    the tableau's rows in the order of elimination; SuperLU's COLAMD without it.
+    the tableau's rows in the order of elimination; SuperLU's COLAMD without it. ``joined``: pairs of unknowns, (k,)
+    each, whose entries of 0 the tableau has, so that compiled elimination finds those of the inverse.
     ``fills_in``: the factor in that order is fuller than the tableau. ``careful``: pivots are the largest, by SuperLU,
     so that no digit is lost, rather than those that fill in least. ``blocks`` (n_meas + n_state,): the block of each
     row in that order, where blocks make a tree. ``place`` (n_meas + n_state,): place of each row of the tableau in that
@@ -70,6 +71,7 @@ class AugmentedPattern:
         fills_in: bool = False,
         careful: bool = False,
         blocks: np.ndarray | None = None,
+        joined: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
         self.order, self.fills_in, self._careful, self._blocks = order, fills_in, careful, blocks
         self.columns = np.arange(H.shape[1]) if columns is None else columns
@@ -84,8 +86,10 @@ class AugmentedPattern:
         if order is not None:
             place[order] = np.arange(self._size)
         row, column = place[self.row[unknown]], place[H.shape[0] + self.column[unknown]]
-        at = np.concatenate([place, row, column]), np.concatenate([place, column, row])
+        a, b = (place[H.shape[0] + of_pair] for of_pair in joined or (place[:0], place[:0]))
+        at = np.concatenate([place, row, column, a, b]), np.concatenate([place, column, row, b, a])
         number = np.concatenate([np.arange(self._size), self._size + unknown, self._size + H.nnz + unknown])
+        number = np.append(number, np.full(2 * len(a), -1))
         shape = self._size, self._size
         numbers = sp.csc_array((number, at), shape=shape)  # no two in one place
         numbers.sort_indices()
@@ -110,7 +114,7 @@ class AugmentedPattern:
 
     def fill(self, above: np.ndarray, data: np.ndarray, below: np.ndarray) -> sp.csc_array:
         """``[[diag(above), H], [H', diag(below)]]`` in the order of elimination, ``data`` the entries of H."""
-        return self._with_values(np.concatenate([above, below, data, data])[self._gather])
+        return self._with_values(np.concatenate([above, below, data, data, [0.0]])[self._gather])
 
     def fill_scaled(self, above: np.ndarray, H: sp.csr_array, below: np.ndarray, scale: np.ndarray) -> sp.csc_array:
         """``fill`` with the rows and columns of H times ``scale`` (n_meas + n_state,)."""

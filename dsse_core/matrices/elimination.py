@@ -16,7 +16,7 @@ from dsse_core.code_cache import compiled
 def fill_tableau(gather, above, below, data, row, column, scale):
     """The entries of ``[[diag(above), H], [H', diag(below)]]`` in the order ``gather``, H scaled on both sides.
 
-    ``data``, ``row``, ``column``: the entries of H.
+    ``data``, ``row``, ``column``: the entries of H. ``gather`` is negative where an entry is 0.
     """
     n_meas, n, n_entries = len(above), len(scale), len(data)
     scaled, found = np.empty(n_entries), np.empty(len(gather))
@@ -24,7 +24,9 @@ def fill_tableau(gather, above, below, data, row, column, scale):
         scaled[e] = data[e] * scale[row[e]] * scale[n_meas + column[e]]
     for k in range(len(gather)):
         g = gather[k]
-        if g >= n:
+        if g < 0:
+            found[k] = 0.0
+        elif g >= n:
             g -= n
             found[k] = scaled[g if g < n_entries else g - n_entries]
         else:

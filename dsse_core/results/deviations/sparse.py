@@ -27,18 +27,19 @@ class SparseDeviations:
         self._metered = _metered_injections(result)
         self._unmetered = np.argwhere(np.isnan(self._metered))
         read = build_measurement_model(network, build_admittance(network), _meters_of(network, self._unmetered))
-        self._covariance = result.linear.read(np.concatenate([result.va, result.vm]), read)
-        self._of_vm = n + np.arange(n)
+        self._of_vm, self._rows_from = n + np.arange(n), network.table.f
         self._of_p = 2 * n + np.arange(len(self._active))
         self._first_injection = 2 * n + 2 * len(self._active)
-        self._rows_from = network.table.f
+        p, q, vm = self._of_ends = self._of_p, self._of_p + len(self._active), self._of_vm[self._rows_from]
+        joined = np.concatenate([p, p, q]), np.concatenate([q, vm, vm])
+        self._covariance = result.linear.read(np.concatenate([result.va, result.vm]), read, joined)
 
     def of_branches_and_injections(self) -> tuple[np.ndarray, np.ndarray]:
         """Covariance of P, Q and ln vm at the from ends of branches in service, (n_active, 3, 3); and the variances of
         P and Q that the buses inject, (2, n_bus); p.u.
         """
         n_active, vm = len(self._of_p), self._result.vm[self._rows_from]
-        y = self._of_p, self._of_p + n_active, self._of_vm[self._rows_from]
+        y = self._of_ends
         pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
         of_injections = self._first_injection + np.arange(len(self._unmetered))
         entries = self._covariance.entries(
@@ -58,9 +59,9 @@ class SparseDeviations:
         """Variances of sums, (n_sum,), with the derivatives ``by_ends`` (n_sum, 3 n_branch), by P, Q and ln vm at the
         from ends, and ``by_buses`` (n_sum, n_bus), by ln vm. Nan where that would take too long.
         """
-        vm, n_active = self._result.vm, len(self._of_p)
+        vm = self._result.vm
         columns = np.full((len(self._result.network.branches), 3), -1)
-        columns[self._active] = np.stack([self._of_p, self._of_p + n_active, self._of_vm[self._rows_from]], axis=1)
+        columns[self._active] = np.stack(self._of_ends, axis=1)
         scale = np.ones(columns.shape)
         scale[self._active, 2] = 1 / vm[self._rows_from]
         n = self._first_injection + len(self._unmetered)
