@@ -247,6 +247,21 @@ def test_deviations_agree_with_samples(rich, n_cases):
     np.testing.assert_allclose(theirs, ours, rtol=error, atol=1e-8)
 
 
+@pytest.mark.slow  # it compiles
+@pytest.mark.parametrize("loops", [0, 6])
+def test_compiled_elimination_alone_finds_deviations_of_flows(loops, monkeypatch):
+    pytest.importorskip("numba")
+    monkeypatch.setattr(augmented, "FEWEST_COMPILED", 0)
+    monkeypatch.setattr(augmented, "find_inverse_entries", None)  # nothing is found anew from other factors
+    network, rng = (
+        make_grid(3, 80, 1, 0.6, 1.0, loops, 0.0, None, True, MeterShares()).network,
+        np.random.default_rng(1),
+    )
+    assert (len(network.active_branches) >= len(network.buses)) == bool(loops)
+    readings = readings_of(network, some_meters(network, rng), rng, noise=0.0)
+    assert_dense(estimate_state(network, readings, backend="sparse"))
+
+
 def test_what_would_take_too_long_is_unknown_and_the_rest_is_there(chain, monkeypatch):
     find = augmented.find_inverse_entries
     monkeypatch.setattr(augmented, "find_block_tree", lambda *_: None)
