@@ -9,7 +9,7 @@ import numpy as np
 from dsse_core.code_places import Whole
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.estimation.batch import estimate_batch
-from dsse_core.estimation.estimator import estimate_state, estimate_with_plan
+from dsse_core.estimation.estimator import estimate_state
 from dsse_core.estimation.plan import build_estimation_plan
 from dsse_core.estimation.residuals import chi_square_limit
 from dsse_core.grid.division import build_partition
@@ -72,7 +72,7 @@ def warm_up_estimate() -> None:
 
 
 def warm_up_batches() -> None:
-    """Go once through batches of power flows and estimates of a forked network, and one estimate on two threads."""
+    """Go once through batches of power flows and estimates of a forked network."""
     first, second, _ = NETWORK.branches
     forked = replace(NETWORK, branches=(first, second, replace(second, id="2-4", to_bus=4)))
     n, kinds = len(forked.buses), (MeasurementKind.VM, MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
@@ -84,7 +84,6 @@ def warm_up_batches() -> None:
     values[1, 0] = np.nan
     sigmas = np.full(values.shape, SIGMA)
     estimate_batch(plan, values, sigmas, start=(flows.vm, flows.va), threads=1)
-    estimate_with_plan(plan, values[0], sigmas[0], threads=2)
     _note("batch")
 
 

@@ -29,7 +29,6 @@ from dsse_core.grid.meter_table import find_virtual, read_meters_of
 from dsse_core.grid.network import Network
 from dsse_core.linear.area_measurements import NO_ROWS
 from dsse_core.linear.whole_grid import GridSolver
-from dsse_core.row_threads import find_threads
 
 SMALL_STEP = 0.02  # p.u. and rad; after a smaller one the last factor may serve once more
 NO_MEMORY = Memory()
@@ -77,7 +76,6 @@ def estimate_with_plan(
     start: tuple[np.ndarray, np.ndarray] | None = None,
     tolerance: float = LAST_STEP,
     memory: Memory = NO_MEMORY,
-    threads: int = 1,
 ) -> EstimationResult:
     """Finds the state that minimises J(x) = (z - h(x))' W (z - h(x)), W = diag(1 / sigma^2) (eqs. 3.8-3.14).
 
@@ -92,16 +90,14 @@ def estimate_with_plan(
             reference is the set-point of the slack bus if that is the reference, else 0.
         tolerance: the most that the last step may move, p.u. and rad, where convergence is linear.
         memory: the meters removed before, and whether a start has led to no end before.
-        threads: number of threads that share the feeders below the first fork of a radial network. Other networks are
-            solved on one. Several threads pay from some 10,000 buses on.
 
     Raises:
-        InvalidInputError: unusable readings, a start that does not fit, or no thread.
+        InvalidInputError: unusable readings, or a start that does not fit.
         EstimationDivergedError: names the cause why the iteration has no end, see ``explain_divergence``.
     """
     values, sigmas = np.array(read_numbers("values", values)), np.array(read_numbers("sigmas", sigmas))
     try:
-        return iterate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance, memory=memory, threads=threads)
+        return iterate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance, memory=memory)
     except IterationLostError as lost:
         raise explain_divergence(plan, values, sigmas, lost, iterate_with_plan) from None
 
@@ -114,7 +110,6 @@ def iterate_with_plan(
     start: tuple[np.ndarray, np.ndarray] | None = None,
     tolerance: float = LAST_STEP,
     memory: Memory = NO_MEMORY,
-    threads: int = 1,
 ) -> EstimationResult:
     """``estimate_with_plan`` without the search for a cause, for callers that go on without an estimate.
 
@@ -133,7 +128,7 @@ def iterate_with_plan(
             check_readings(plan.network, plan.meters, values, sigmas)
         memory, found = _estimate_as_area(plan, values, sigmas, *options)
     else:
-        memory, found = estimate_radial(plan.radial, plan.virtual, values, sigmas, *options, find_threads(threads))
+        memory, found = estimate_radial(plan.radial, plan.virtual, values, sigmas, *options)
     return EstimationResult(plan, values, sigmas, memory, *found)
 
 

@@ -17,7 +17,6 @@ from dsse_core.estimation.decision import (
     begin_at_flat_start,
     most_steps,
 )
-from dsse_core.estimation.radial_threads import estimate_on_threads
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
 from dsse_core.gauss_newton import EVALUATE, LARGEST_STEP, LOST, Solution
 from dsse_core.grid.measurement import check_readings
@@ -32,13 +31,11 @@ def estimate_radial(
     start: tuple[np.ndarray, np.ndarray] | None,
     tolerance: float,
     memory: Memory,
-    threads: int = 1,
 ) -> tuple[Memory, Solution]:
     """Memory and solution of a scan, as ``estimate_sparse`` finds them, by elimination on the tree.
 
     ``sigmas`` (n_meas,) become 0 where a reading is ``exact``. For small networks Python calls take longer than
-    solving, so the rules of ``decide`` between two steps are compiled with the steps; a test compares the two. On more
-    than one thread these rules run in Python.
+    solving, so the rules of ``decide`` between two steps are compiled with the steps; a test compares the two.
 
     Raises:
         InvalidInputError: unusable readings.
@@ -51,16 +48,10 @@ def estimate_radial(
         while True:
             v, va = _begin_at(plan, None if memory.from_flat_start else start)
             options = float(tolerance), most_steps(memory), limit
-            if threads > 1:
-                scan = exact, values, sigmas
-                end, steps, step, objective = estimate_on_threads(
-                    plan, *scan, space, v, va, *options, state, residual, threads
-                )
-            else:
-                end, steps, step, objective = compiled.estimate(
-                    plan.parent, plan.level, plan.admittance, plan.order, plan.meter, exact, v, va,
-                    plan.has_currents, *options, values, sigmas, space, state, residual,
-                )  # fmt: skip
+            end, steps, step, objective = compiled.estimate(
+                plan.parent, plan.level, plan.admittance, plan.order, plan.meter, exact, v, va,
+                plan.has_currents, *options, values, sigmas, space, state, residual,
+            )  # fmt: skip
             if end == compiled.UNUSABLE:
                 check_readings(plan.network, plan.meters, values, sigmas)
             if end != LOST or memory.from_flat_start:

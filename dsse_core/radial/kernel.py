@@ -15,8 +15,8 @@ With the multipliers an injection may be exact (variance 0) and touches its bus 
 Eliminating ``(lam, f)`` of a bus, a 4 x 4 block D solved with pivoting, leaves a 4 x 4 message about
 ``(lam_p, x_p)``. On the same factors the blocks of the inverse that the tree needs follow from the root downwards.
 
-Three passes do all work, of the centre, of an area with its neighbours' messages (``boundary``), of many scans side by
-side and of feeders on several threads: ``eliminate``, ``root.solve_root``, ``descend``.
+Three passes do all work, of the centre, of an area with its neighbours' messages (``boundary``) and of many scans side
+by side: ``eliminate``, ``root.solve_root``, ``descend``.
 """
 
 from __future__ import annotations

@@ -264,46 +264,6 @@ def test_batches_of_any_grid_are_the_single_estimates(random_seed):
         assert_rows_are_single_estimates(plan, only, values[k : k + 1], sigmas)
 
 
-@pytest.mark.parametrize("threads", [2, 3])
-@pytest.mark.random_cases(few=3, long=8, many=300)
-def test_feeders_on_threads_give_the_estimate_of_one_thread(random_seed, threads):
-    pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
-    rng = np.random.default_rng([random_seed, 78])
-    shares = MeterShares(voltage=0.5, angle=0.2, flow=0.8, current=float(rng.choice([0, 0.3])))
-    grid = make_grid(
-        random_seed, n_bus=int(rng.integers(2, 60)), n_area=1, chain=rng.random(), decades=0.0, loops=0,
-        transformers=0.2, short=None, slack_at_root=bool(rng.random() < 0.5), shares=shares,
-    )  # fmt: skip
-    plan = build_estimation_plan(grid.network, [m.meter for m in grid.measurements], backend="radial")
-    values, sigmas = np.array([(m.value, m.sigma) for m in grid.measurements]).T
-    values = values + rng.choice([0, 30]) * sigmas * (np.arange(len(values)) == rng.integers(len(values)))
-    alone, shared = (outcome_of(plan, values, sigmas, count) for count in (1, threads))
-    if isinstance(alone, str):
-        assert shared == alone
-        return
-    np.testing.assert_allclose(shared.vm, alone.vm, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(shared.va, alone.va, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(shared.residual, alone.residual, rtol=0, atol=1e-9)
-    assert shared.objective == pytest.approx(alone.objective, rel=1e-7, abs=1e-9)
-    assert (shared.iterations, shared.memory) == (alone.iterations, alone.memory)
-
-
-def outcome_of(plan, values, sigmas, threads):
-    """The estimate, or the meter that what is raised names."""
-    try:
-        return estimate_with_plan(plan, values, sigmas, threads=threads)
-    except EstimationDivergedError as error:
-        return error.meter
-
-
-def test_readings_that_cannot_be_are_named_on_threads_too(case):
-    pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
-    plan, values, sigmas = scans_of(case("ieee33"), "radial", 1)
-    values[0, 70] = np.nan
-    with pytest.raises(InvalidInputError, match=plan.meters[70].id):
-        estimate_with_plan(plan, values[0], sigmas, threads=2)
-
-
 def test_rows_side_by_side_go_to_as_many_threads_as_have_room_in_the_cache(case, monkeypatch):
     pytest.importorskip("numba")
     from dsse_core.estimation import batch as batch_module
@@ -331,7 +291,7 @@ def test_memory_of_the_tree_goes_back_to_the_plan_for_the_next_scan(case, thread
     assert any(space is kept for space in plan.radial.spaces)
     number = len(plan.radial.spaces)
     with pytest.raises(InvalidInputError):
-        estimate_with_plan(plan, np.full_like(values[0], np.nan), sigmas, threads=threads)
+        estimate_with_plan(plan, np.full_like(values[0], np.nan), sigmas)
     assert len(plan.radial.spaces) == number
     again = estimate_with_plan(plan, values[0], sigmas)
     np.testing.assert_array_equal(again.vm, alone.vm)

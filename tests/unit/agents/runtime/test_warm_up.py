@@ -58,7 +58,6 @@ values[1, 4] = np.nan
 for threads in (1, 2):
     found = estimate_batch(plan, values, sigmas, threads=threads)
     estimate_batch(plan, values, sigmas[0], start=(found.vm[0], found.va[0]), threads=threads)
-    estimate_with_plan(plan, values[0], sigmas[0], threads=threads)
 results_of_estimate(estimate_with_plan(plan, values[0], sigmas[0])).areas
 s = np.tile(scenario.network.scheduled, (3, 1))
 solve_power_flow_batch(scenario.network, s.real.copy(), s.imag.copy(), method="sweep")
@@ -67,7 +66,7 @@ print("compiled", len(compiled), "failed", len(found.failures))
 
 
 @pytest.mark.slow
-def test_what_is_compiled_ahead_serves_batches_and_threads_too():
+def test_what_is_compiled_ahead_serves_batches_too():
     pytest.importorskip("numba")
     done = subprocess.run([sys.executable, "-c", BATCHES], capture_output=True, text=True, timeout=1800, check=True)
     assert done.stdout == "compiled 0 failed 0\n"
