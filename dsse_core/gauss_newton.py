@@ -5,19 +5,21 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-# Gauss-Newton needs 3 to 6 steps. An iteration that takes longer swings around the answer, as it does by current
-# magnitudes with sigmas as large as their values. Half steps settle it.
+# Gauss-Newton needs 3 to 6 steps. An iteration that takes longer swings around the answer or creeps towards it, as all
+# do where current magnitudes are in use. ``choose_share`` then says how far a step goes.
 FULL_STEPS = 10
-MOST_STEPS = 25  # of one iteration; then it begins again at the flat start
-MOST_STEPS_ANEW = 100  # of the iteration that begins again: half steps may shrink by 0.8 each, 60 of them to NO_STEP
+MOST_STEPS = 50  # of one iteration; then it begins again at the flat start, and takes as many
+MOST_SHARE = 8.0  # of a step that creeps; one that swings is taken to its inverse at least
 FLOWS_KNOWN = 1e-4  # p.u. and rad; after a smaller step current magnitudes are used
 LARGEST_STEP = 1e6  # p.u. or rad; beyond it the iteration has left every state of interest
 # A longer step is shortened: a dead voltmeter must not throw all voltages to zero, where nothing converges.
 MAX_DVM = 0.2  # p.u.
 MAX_DVA = 1.0  # rad
-FARTHEST_DVM = MOST_STEPS_ANEW * MAX_DVM  # p.u.: all steps of a start, each as long as allowed, lead no farther
+FARTHEST_DVM = MOST_STEPS * MAX_DVM  # p.u.: all steps of a start, each as long as allowed, lead no farther
 # The end, see ``next_step``; p.u. and rad but for the rate.
 LAST_STEP = 1e-5  # the largest last step
 REST = 2e-9  # the largest distance from the minimum after it; after a step as small J is as exact as it gets
@@ -66,6 +68,36 @@ def is_out_of_reach(dvm: float) -> bool:
     return not dvm <= FARTHEST_DVM
 
 
+def choose_share(
+    steps: int, uses_currents: bool, share_before: float, square_before: float, square: float, turn: float
+) -> float:
+    """The share of the Gauss-Newton step that is taken next, by what the last two steps d_1 and d_2 have in common.
+
+    Where convergence is linear the steps shrink as ``d_2 = (1 - share_1 M) d_1``. A share of 1 / m takes away the part
+    of the error that belongs to the eigenvalue m of M. That of the largest part is found as Aitken does it: the share
+    minimises ``|d_1 - share (d_1 - d_2) / share_1|``. So a swing (m > 2, a turn back) is shortened, and an iteration
+    that creeps (m << 1) is drawn out. Current magnitudes set such eigenvalues: Gauss-Newton knows their curvature
+    across the current only where the current is as read. Sums of all areas are known, so all choose the same share.
+
+    Args:
+        steps: number of steps taken since the start.
+        uses_currents: current magnitudes are in use. Without them only late steps are shortened or drawn out.
+        share_before: share_1.
+        square_before, square, turn: d_1'd_1, d_2'd_2 and d_1'd_2 of all voltages, p.u. and rad. The first is 0 where
+            the two cannot be compared.
+    """
+    is_late = steps >= FULL_STEPS
+    if square_before <= 0.0:
+        return 0.5 if is_late else 1.0  # after a step that was shortened, most of all where no start leads to an end
+    if square < SLOWEST_RATE * SLOWEST_RATE * square_before or not (uses_currents or is_late):
+        return 1.0
+    along, change = share_before * (square_before - turn), square_before - 2.0 * turn + square
+    if along <= 0.0 or along >= MOST_SHARE * change:
+        return MOST_SHARE
+    grid = MOST_SHARE * MOST_SHARE  # centre and areas round sums to the same share
+    return max(1.0 / MOST_SHARE, math.floor(grid * along / change + 0.5) / grid)
+
+
 def next_step(
     steps: int,
     share: float,
@@ -78,6 +110,7 @@ def next_step(
     limit: float,
     tolerance: float,
     most_steps: int,
+    coming: float,
 ) -> tuple[int, float, float]:
     """The verdict at a state that needs no correction, the share of the coming step, and the next ``before``.
 
@@ -101,6 +134,7 @@ def next_step(
         objective, limit: J at the state, and its chi-square limit.
         tolerance: the most that the last step may move, p.u. and rad, where convergence is linear.
         most_steps: limit of ``steps``.
+        coming: share of the coming step if more are to come, see ``choose_share``.
     """
     if stepped and flows_known and (largest <= REST or abs(objective - limit) >= NEAR_LIMIT * limit):
         is_last = largest < NO_STEP
@@ -111,5 +145,4 @@ def next_step(
             return (EVALUATE if objective >= limit else FINAL), 1.0, 0.0
     if steps >= most_steps:
         return LOST, 0.0, 0.0
-    coming = 1.0 if steps < FULL_STEPS else 0.5
     return GO_ON, coming, largest if stepped and coming == share else 0.0

@@ -137,8 +137,9 @@ def find_unreasonable(
             possible = are_within_reason((message.p, message.q, message.sigma)) and message.sigma >= 0
         case UpMessage() | DownMessage():
             t = message.totals
-            numbers = *message.R, *message.z, *message.no_load, *message.power, t.degrees_of_freedom
-            sizes = t.objective, t.dvm, t.dva, *(value for _, value in (*t.worst, *t.tied)), t.areas, t.held_back
+            numbers = *message.R, *message.z, *message.no_load, *message.power, t.degrees_of_freedom, t.turn
+            named = [value for _, value in (*t.worst, *t.tied)]
+            sizes = t.objective, t.dvm, t.dva, t.square, *named, t.areas, t.held_back
             possible = are_within_reason((*numbers, *sizes)) and min(sizes) >= 0
             possible = possible and max(message.revision, message.header.scan) < MOST_COUNTED
         case HeartbeatMessage():

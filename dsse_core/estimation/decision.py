@@ -15,7 +15,7 @@ import numpy as np
 
 from dsse_core import gauss_newton
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, keep_equal, keep_tied
-from dsse_core.gauss_newton import FULL_STEPS, LAST_STEP, MOST_STEPS, MOST_STEPS_ANEW
+from dsse_core.gauss_newton import FULL_STEPS, LAST_STEP, MOST_STEPS
 from dsse_core.linear.boundary_information import BEYOND_REASON
 from dsse_core.split_identity import HeldSplits, SplitUse, add_held, add_uses
 
@@ -61,12 +61,14 @@ class Totals:
     """Totals of some areas at the state x_k; p.u. and rad.
 
     ``objective``: J of the areas' real meters in use, with ``degrees_of_freedom``. ``dvm``, ``dva``: the largest
-    changes of the last step. ``held_back``: number of current magnitudes not yet in use. ``worst``: (meter, normalised
-    residual), the largest above the threshold and those that equal it, by id; empty unless evaluating. ``areas``:
-    number of the areas. ``referenced``: one of the areas knows the substation's angle. ``silent``: neighbours that are
-    not received. ``stale``: areas without readings of the scan. ``unobservable``: buses that no meter determines.
-    ``failed``: areas that have no numbers. ``splits``: the splits on which the areas work, the oldest first; no verdict
-    depends on them. ``held``: the next splits whose files areas hold, each with the number of these areas.
+    changes of the last step. ``square``, ``turn``: products of the last step, over the voltages of the areas' own
+    buses, with itself and with the step before it. ``held_back``: number of current magnitudes not yet in use.
+    ``worst``: (meter, normalised residual), the largest above the threshold and those that equal it, by id; empty
+    unless evaluating. ``areas``: number of the areas. ``referenced``: one of the areas knows the substation's angle.
+    ``silent``: neighbours that are not received. ``stale``: areas without readings of the scan. ``unobservable``: buses
+    that no meter determines. ``failed``: areas that have no numbers. ``splits``: the splits on which the areas work,
+    the oldest first; no verdict depends on them. ``held``: the next splits whose files areas hold, each with the number
+    of these areas.
     """
 
     objective: float = 0.0
@@ -85,6 +87,8 @@ class Totals:
     tied: tuple[tuple[str, float], ...] = ()
     # Critical meters whose normalised residual equals the largest of ``worst``, by id. They stay, and may be wrong.
     held: HeldSplits = ()
+    square: float = 0.0
+    turn: float = 0.0
 
     @property
     def step(self) -> float:
@@ -113,15 +117,17 @@ def add_totals(parts: Iterable[Totals]) -> Totals:
         splits=add_uses((use for t in parts for use in t.splits), MOST_NAMED),
         tied=tuple(tied.items())[:MOST_NAMED],
         held=add_held((t.held for t in parts), MOST_NAMED),
+        square=limit_total(sum(t.square for t in parts)),
+        turn=limit_total(sum(t.turn for t in parts)),
     )
 
 
 def limit_total(size: float) -> float:
-    """``size`` as totals state it, BEYOND_REASON at most.
+    """``size`` as totals state it, BEYOND_REASON at most, of either sign.
 
     A larger number changes no verdict, and its receiver would reject it.
     """
-    return min(size, BEYOND_REASON)
+    return max(min(size, BEYOND_REASON), -BEYOND_REASON)
 
 
 def find_omission(totals: Totals, part: Totals) -> str:
@@ -138,7 +144,7 @@ def find_omission(totals: Totals, part: Totals) -> str:
     splits = {use.split for use in totals.splits}
     if len(splits) < MOST_NAMED and (left_out := [use.split for use in part.splits if use.split not in splits]):
         return f"it leaves out that areas work on {left_out[0]}"
-    for name in ("objective", "dvm", "dva", "held_back", "referenced"):
+    for name in ("objective", "dvm", "dva", "square", "held_back", "referenced"):
         if getattr(totals, name) < (least := getattr(part, name)):
             return f"it says {name} {getattr(totals, name):.6g} where this side alone has {least:.6g}"
     return ""
@@ -162,8 +168,10 @@ class Memory:
     its own then, by id; the readings do not tell which of them is wrong. ``kept``: the meter without which no estimate
     was found. That meter is in use again, and no other is taken out. ``steps``: number of steps since the last start.
     ``share``: the part that was taken of the last step. ``before``: the size of the last but one step where it can be
-    compared with the last, else 0. ``stepped``: the last step is not corrected. ``from_flat_start``: the start of the
-    scan has led to no end with these meters. ``spent``: number of steps of all starts before.
+    compared with the last, else 0. ``share_before``, ``square_before``: the share of the last but one step, and its
+    product with itself, 0 where that step was corrected. ``stepped``: the last step is not corrected.
+    ``from_flat_start``: the start of the scan has led to no end with these meters. ``spent``: number of steps of all
+    starts before.
     """
 
     removed: tuple[str, ...] = ()
@@ -177,6 +185,8 @@ class Memory:
     evaluating: bool = False
     from_flat_start: bool = False
     spent: int = 0
+    share_before: float = 1.0
+    square_before: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -219,15 +229,18 @@ def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tupl
         verdict = gauss_newton.LOST
     if verdict == gauss_newton.GO_ON:
         limit = chi_square_limit(totals.degrees_of_freedom, CONFIDENCE)
+        coming = gauss_newton.choose_share(
+            memory.steps, memory.uses_currents, memory.share_before, memory.square_before, totals.square, totals.turn
+        )
         verdict, share, before = gauss_newton.next_step(
             memory.steps, memory.share, memory.stepped, memory.before, totals.step, flows_known, memory.uses_currents,
-            totals.objective, limit, tolerance, most_steps(memory),
+            totals.objective, limit, tolerance, MOST_STEPS, coming,
         )  # fmt: skip
     match verdict:
         case gauss_newton.SHORTEN:
-            return replace(memory, stepped=False, before=0.0), Verdict(Decision.SHORTEN, share)
+            return _forget_step(memory), Verdict(Decision.SHORTEN, share)
         case gauss_newton.USE_CURRENTS:
-            return replace(memory, stepped=False, before=0.0, uses_currents=True), Verdict(Decision.USE_CURRENTS)
+            return replace(_forget_step(memory), uses_currents=True), Verdict(Decision.USE_CURRENTS)
         case gauss_newton.EVALUATE if not memory.kept:
             return replace(memory, evaluating=True), Verdict(Decision.EVALUATE, with_step=True)
         case gauss_newton.FINAL | gauss_newton.EVALUATE:
@@ -236,8 +249,22 @@ def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tupl
             return _give_up(memory, OUT_OF_REACH if is_far else DIVERGED)
         case gauss_newton.LOST:
             return begin_at_flat_start(memory), Verdict(Decision.ANEW)
-    memory = replace(memory, steps=memory.steps + 1, share=share, before=before, stepped=True)
+    square = totals.square if memory.stepped else 0.0
+    memory = replace(
+        memory,
+        steps=memory.steps + 1,
+        share=share,
+        before=before,
+        stepped=True,
+        share_before=memory.share,
+        square_before=square,
+    )
     return memory, Verdict(Decision.STEP, share)
+
+
+def _forget_step(memory: Memory) -> Memory:
+    """Memory with the last step corrected, so that no other step can be compared with it."""
+    return replace(memory, stepped=False, before=0.0, square_before=0.0)
 
 
 def name_next(verdict: Verdict, totals: Totals) -> Verdict:
@@ -269,18 +296,13 @@ def _give_up(memory: Memory, reason: str) -> tuple[Memory, Verdict]:
     return Memory(memory.removed[:-1], memory.tied[:-1], memory.removed[-1], spent=spent), Verdict(Decision.ANEW)
 
 
-def most_steps(memory: Memory) -> int:
-    """Largest number of steps since the start."""
-    return MOST_STEPS_ANEW if memory.from_flat_start else MOST_STEPS
-
-
 def are_steps_used_up(memory: Memory) -> bool:
     """True where the scan has no steps left for a further start without a meter.
 
     A scan may take all steps of two starts, with the bad meter and without it, and FULL_STEPS more for each meter taken
     out. So each meter found pays for the search for the next one, however many there are.
     """
-    most = 2 * (MOST_STEPS + MOST_STEPS_ANEW) + FULL_STEPS * len(memory.removed)
+    most = 4 * MOST_STEPS + FULL_STEPS * len(memory.removed)
     return memory.spent + memory.steps > most
 
 

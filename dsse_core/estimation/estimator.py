@@ -17,6 +17,7 @@ from dsse_core.estimation.decision import (
     Verdict,
     begin_at_flat_start,
     decide,
+    limit_total,
 )
 from dsse_core.estimation.divergence import explain_divergence
 from dsse_core.estimation.plan import BackendChoice, EstimationPlan, build_estimation_plan
@@ -202,6 +203,7 @@ class WholeGrid:
         """Takes all readings but those ``held_back`` into use; the last step is forgotten."""
         self._linear = self._of_meters.with_values(self._values, self._sigmas, held_back)
         self._step, self._size = np.zeros(len(self.x)), (0.0, 0.0)  # its largest entries, dva and dvm
+        self._turn = 0.0  # its product with the step before
 
     @property
     def is_lost(self) -> bool:
@@ -223,6 +225,8 @@ class WholeGrid:
             held_back=held_back,
             areas=1,
             referenced=True,
+            square=limit_total(float(self._step @ self._step)),
+            turn=limit_total(self._turn),
         )
 
     def _find_objective(self, r: np.ndarray) -> float:
@@ -243,7 +247,7 @@ class WholeGrid:
                 self._begin(self._of_meters.flat)
 
     def _take_step(self, share: float) -> None:
-        self._steps, self._before = self._steps + 1, self.x
+        self._steps, self._before, step_before = self._steps + 1, self.x, self._step
         try:
             self._step = self._linear.step(self.x, {}, nearby=max(self._size) < SMALL_STEP)
         except RuntimeError:  # SuperLU: singular away from the no-load state, where the rank was full
@@ -253,6 +257,7 @@ class WholeGrid:
         self._size = float(size[:n].max()), float(size[n:].max())
         if not math.isfinite(sum(self._size)):
             self._size = np.inf, np.inf
+        self._turn = float(step_before @ self._step)
         self.x = self.x + share * self._step
 
     def solution(self) -> Solution:

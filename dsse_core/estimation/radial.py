@@ -15,10 +15,9 @@ from dsse_core.estimation.decision import (
     IterationLostError,
     Memory,
     begin_at_flat_start,
-    most_steps,
 )
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
-from dsse_core.gauss_newton import EVALUATE, LARGEST_STEP, LOST, Solution
+from dsse_core.gauss_newton import EVALUATE, LARGEST_STEP, LOST, MOST_STEPS, Solution
 from dsse_core.grid.measurement import check_readings
 from dsse_core.radial.plan import RadialPlan
 
@@ -47,7 +46,7 @@ def estimate_radial(
     try:
         while True:
             v, va = _begin_at(plan, None if memory.from_flat_start else start)
-            options = float(tolerance), most_steps(memory), limit
+            options = float(tolerance), MOST_STEPS, limit
             end, steps, step, objective = compiled.estimate(
                 plan.parent, plan.level, plan.admittance, plan.order, plan.meter, exact, v, va,
                 plan.has_currents, *options, values, sigmas, space, state, residual,
@@ -60,7 +59,7 @@ def estimate_radial(
     finally:
         plan.spaces.append(space)
     if end == LOST:
-        is_far = steps < most_steps(memory) and step <= LARGEST_STEP
+        is_far = steps < MOST_STEPS and step <= LARGEST_STEP
         weighted = abs(residual) / np.where(sigmas > 0, sigmas, np.inf)
         raise IterationLostError(steps, step, weighted, OUT_OF_REACH if is_far else DIVERGED)
     memory = replace(memory, steps=steps - 1, evaluating=end == EVALUATE and not memory.kept)  # the last does not count

@@ -66,6 +66,8 @@ class AreaEstimation:
         self._is_stale = False
         self._start = self._start_of_term = self.x
         self.linearized_at, self._step = self.x, np.zeros_like(self.x)
+        self._step_before = self._step
+        self._is_own = np.tile([bus.id not in area.not_owned for bus in area.network.buses], 2)  # of va, then of vm
         self._worst: tuple[tuple[str, float], ...] = ()
         self._tied: tuple[tuple[str, float], ...] = ()
         self._uses_currents = False
@@ -270,6 +272,8 @@ class AreaEstimation:
                 "degrees_of_freedom": count_freedom(model),
                 "dva": dva,
                 "dvm": dvm,
+                "square": limit_total(self._multiply_own(self._step, self._step)),
+                "turn": limit_total(self._multiply_own(self._step_before, self._step)),
                 "held_back": 0 if self._uses_currents else self._n_current,
                 "worst": self._worst,
                 "tied": self._tied,
@@ -283,6 +287,11 @@ class AreaEstimation:
             unobservable=_as_ranges([bus for bus in self.unobservable if bus not in self.area.not_owned]),
         )
 
+    def _multiply_own(self, a: np.ndarray, b: np.ndarray) -> float:
+        """Product of two steps over the voltages of the area's own buses."""
+        own = self._is_own
+        return float(a[: len(own)][own] @ b[: len(own)][own])
+
     # Carrying out verdicts
 
     def carry_out(self, verdict: Verdict, memory: Memory, received: Received, no_load: Received) -> None:
@@ -292,7 +301,8 @@ class AreaEstimation:
             if verdict.takes_step:
                 self._check_information(received)
                 self.received = self._with_aged(received)
-                self.linearized_at, self._step = self.x, self.model.linear.step(self.x, self.received)
+                self.linearized_at, self._step_before = self.x, self._step
+                self._step = self.model.linear.step(self.x, self.received)
                 self.x = self.x + verdict.share * self._step
                 self._check()
                 if not memory.removed and verdict.with_step:

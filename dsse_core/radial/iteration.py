@@ -8,7 +8,7 @@ import numpy as np
 
 from dsse_core import gauss_newton
 from dsse_core.code_cache import compiled
-from dsse_core.gauss_newton import GO_ON, LOST, USE_CURRENTS
+from dsse_core.gauss_newton import FULL_STEPS, GO_ON, LOST, USE_CURRENTS
 from dsse_core.limits import LEAST_USABLE_SIGMA, MOST_USABLE_SIGMA
 from dsse_core.radial.block import N_INVERSE, modulus, scaled, square_of, wrap
 from dsse_core.radial.kernel import N_FACTOR, N_MORE, SMALL_ANGLE, STEP, count_halves, descend, eliminate, stretch
@@ -16,9 +16,9 @@ from dsse_core.radial.root import N_KNOWN, find_root_objective, solve_root
 
 UNUSABLE = -1  # in place of a verdict, or of a number of missing readings: some readings are unusable
 N_BLOCK = 4 * N_INVERSE
-N_SPACE = 2 * (2 + 1) + 2 * 10 + N_FACTOR + N_MORE + 4 + N_KNOWN  # numbers for a bus: see ``carve``
+N_SPACE = 2 * (2 + 1) + 2 * 10 + N_FACTOR + N_MORE + 4 + N_KNOWN + 2  # numbers for a bus: see ``carve``
 correct_step, next_step = compiled(gauss_newton.correct_step), compiled(gauss_newton.next_step)
-is_out_of_reach = compiled(gauss_newton.is_out_of_reach)
+choose_share, is_out_of_reach = compiled(gauss_newton.choose_share), compiled(gauss_newton.is_out_of_reach)
 
 
 def make_space(n: int) -> np.ndarray:
@@ -31,7 +31,7 @@ def make_space(n: int) -> np.ndarray:
 
 @compiled
 def carve(space, n):
-    """``space`` as v and va of two states, z and w, and memory for ``kernel``: above, factor, more, block, step."""
+    """``space`` as v, va of two states and the last step; z, w; above, factor, more, block, step of ``kernel``."""
     at = N_BLOCK + 3 * n
     state = space[N_BLOCK : at - n].view(np.complex128), space[at - n : at]
     z, at = _table(space, at, n, 10)
@@ -42,7 +42,8 @@ def carve(space, n):
     step, at = _table(space, at, n, 4)
     block, _ = _table(space, 0, 4, N_INVERSE)
     other = space[at : at + 2 * n].view(np.complex128), space[at + 2 * n : at + 3 * n]
-    return (*state, *other), (z, w), (above, factor, more, block, step)
+    last, _ = _table(space, at + 3 * n, n, 2)
+    return (*state, *other, last), (z, w), (above, factor, more, block, step)
 
 
 @compiled
@@ -81,21 +82,26 @@ def estimate(
 def iterate(parent, place, Y, z, w, states, has_currents, tolerance, most_steps, limit, work):
     """Gauss-Newton from the first of the ``states``. Returns the end, the number of steps, the last one's size, v, va.
 
-    Each step leads from one of the two states to the other. A step is taken again where its share turns out shorter, or
-    its angles too large (see ``stretch``). The end is FINAL or EVALUATE, the verdict with the last step, with ``limit``
-    that of J; or LOST: the steps are used up, or the last one is larger than LARGEST_STEP or out of reach.
+    Each step leads from one of the two states to the other; ``compare_steps`` keeps the last one behind them. A step is
+    taken again where its share turns out shorter, or its angles too large (see ``stretch``). The end is FINAL or
+    EVALUATE, the verdict with the last step, with ``limit`` that of J; or LOST: the steps are used up, or the last one
+    is larger than LARGEST_STEP or out of reach.
     """
     n = len(parent)
-    v, va, v_to, va_to = states
+    v, va, v_to, va_to, last = states
     above, factor, more, block, step = work
     flows_known, stepped, end = not has_currents, False, GO_ON
     steps, share, largest, before = 0, 1.0, 0.0, 0.0
+    share_before, square_before, square, turn = 1.0, 0.0, 0.0, 0.0
     while end == GO_ON:
         J = eliminate(1, n, parent, Y, z, w, v, va, flows_known, STEP, place, above, factor, more, block, 0.0)[2]
         J += find_root_objective(Y[0], z[0], w[0], v[0], va[0], above[0])
         solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], True, False, block, step)
+        uses_currents = has_currents and flows_known
+        coming = choose_share(steps, uses_currents, share_before, square_before, square, turn)
+        share_before, square_before = share, square if stepped else 0.0
         end, share, before = next_step(
-            steps, share, stepped, before, largest, flows_known, has_currents, J, limit, tolerance, most_steps
+            steps, share, stepped, before, largest, flows_known, has_currents, J, limit, tolerance, most_steps, coming
         )
         if end == LOST:
             break
@@ -110,10 +116,25 @@ def iterate(parent, place, Y, z, w, states, has_currents, tolerance, most_steps,
             descend(0, n, parent, place, factor, v, va, step, length / halves, v_to, va_to)
             if halves > 1.0:
                 stretch(v, va, v_to, va_to, halves)
+        if uses_currents or steps >= FULL_STEPS - 1:
+            square, turn = compare_steps(v, va, v_to, va_to, length, last)
         v, va, v_to, va_to = v_to, va_to, v, va
         stepped = verdict == GO_ON
+        square_before *= stepped
         flows_known = flows_known or verdict == USE_CURRENTS
     return end, steps, largest, v, va
+
+
+@compiled
+def compare_steps(v, va, v_to, va_to, length, last):
+    """Products of the step of which ``length`` has led to a state, with itself and with ``last``; fills ``last``."""
+    square, turn = 0.0, 0.0
+    for i in range(len(v)):
+        dva, dvm = (va_to[i] - va[i]) / length, (modulus(v_to[i]) - modulus(v[i])) / length
+        square += dva * dva + dvm * dvm
+        turn += dva * last[i, 0] + dvm * last[i, 1]
+        last[i, 0], last[i, 1] = dva, dvm
+    return square, turn
 
 
 @compiled

@@ -146,9 +146,8 @@ def _iterate(parent, place, Y, z, w, states, tolerance, limit, work, steps):
             if verdict[k] != GO_ON:
                 continue
             dva, dvm, steps[k] = totals[1, k], totals[2, k], taken + 1
-            verdict[k], share, before[k] = next_step(
-                taken, 1.0, taken > 0, before[k], largest[k], True, False, totals[0, k], limit[k], tolerance, FULL_STEPS
-            )
+            of_step = taken, 1.0, taken > 0, before[k], largest[k], True, False, totals[0, k], limit[k], tolerance
+            verdict[k], share, before[k] = next_step(*of_step, FULL_STEPS, 1.0)
             largest[k], turn = max(dva, dvm), max(turn, dva)
             if correct_step(share, True, True, dva, dvm)[0] != GO_ON:
                 return 0

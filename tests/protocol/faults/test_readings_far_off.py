@@ -9,7 +9,7 @@ import pytest
 from agents.messages.packing import DownMessage, UpMessage
 from dsse_core.errors import EstimationDivergedError
 from dsse_core.estimation.bad_data import process_bad_data
-from dsse_core.estimation.decision import MOST_STEPS, MOST_STEPS_ANEW
+from dsse_core.estimation.decision import MOST_STEPS
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Source
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
@@ -68,6 +68,6 @@ def test_the_steps_of_a_scan_are_limited_over_all_its_starts(area: str, factor: 
     bus.run(8.0)
     rounds = rounds_of(bus)
     assert {revision for revision, _ in rounds} == {0}
-    assert len(rounds) < 4 * (MOST_STEPS + MOST_STEPS_ANEW)
+    assert len(rounds) < 2 * 6 * MOST_STEPS  # a step and its shortening, of four starts and the last two
     reason = end_of_centre(scenario, readings)
     assert all(any(reason in note for note in state.notes) for state in bus.states.values()), reason

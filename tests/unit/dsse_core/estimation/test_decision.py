@@ -9,6 +9,7 @@ import pytest
 
 from dsse_core.errors import DsseError, EstimationDivergedError, InvalidInputError
 from dsse_core.estimation import decision as verdict
+from dsse_core.estimation import radial
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.estimation.decision import Decision, Memory, Totals, add_totals, decide
 from dsse_core.estimation.estimator import estimate_state
@@ -19,8 +20,9 @@ from dsse_core.gauss_newton import (
     LARGEST_STEP,
     MAX_DVA,
     MAX_DVM,
+    MOST_SHARE,
     MOST_STEPS,
-    MOST_STEPS_ANEW,
+    choose_share,
 )
 from tests.support.grids import MeterShares, make_grid, with_gross_errors
 from tests.support.loaded_feeders import make_outvoted_feeder
@@ -47,10 +49,30 @@ def test_a_half_step_is_not_made_longer_by_shortening_it():
     assert decide(memory, totals(4 * MAX_DVA))[1] == verdict.Verdict(Decision.SHORTEN, 0.25)
 
 
-def test_a_full_step_and_a_half_one_give_no_rate():
-    last_full = Memory(steps=FULL_STEPS, stepped=True)
-    memory, decided = decide(last_full, totals(1e-3))
+def test_a_late_step_that_turns_back_is_halved_and_gives_no_rate():
+    last_full = Memory(steps=FULL_STEPS, stepped=True, square_before=1e-6)
+    memory, decided = decide(last_full, totals(1e-3, square=1e-6, turn=-1e-6))
     assert (decided.share, memory.before) == (0.5, 0.0)
+    early = replace(last_full, steps=FULL_STEPS - 1)
+    assert decide(early, totals(1e-3, square=1e-6, turn=-1e-6))[1].share == 1.0
+
+
+def test_shares_are_those_that_take_the_slowest_part_of_the_error_away():
+    """Steps d_2 = (1 - share_1 m) d_1 along one line: the next share is 1 / m."""
+    for share, m in ((1.0, 0.25), (1.0, 2.0), (0.5, 4.0), (4.0, 0.5)):
+        rest = 1 - share * m
+        assert choose_share(5, True, share, 1.0, rest * rest, rest) == 1 / m
+    assert choose_share(5, True, 1.0, 1.0, 1.0, 1.0) == MOST_SHARE
+    assert choose_share(5, True, 1.0, 1.0, 4.0, 2.0) == MOST_SHARE
+    assert choose_share(5, True, 1.0, 1.0, 1e4, -1e2) == 1 / MOST_SHARE
+    assert choose_share(5, True, 1.0, 1.0, 1e-3, 0.0) == 1.0
+
+
+def test_a_step_that_was_shortened_is_compared_with_no_other():
+    memory = Memory(steps=5, stepped=True, uses_currents=True, square_before=1.0)
+    memory, decided = decide(memory, totals(4 * MAX_DVA, square=9.0, turn=-3.0))
+    assert (decided.decision, memory.square_before) == (Decision.SHORTEN, 0.0)
+    assert decide(memory, totals())[1].share == 1.0
 
 
 def test_a_step_beyond_all_states_begins_anew_at_the_flat_start_and_then_ends():
@@ -123,9 +145,9 @@ def test_starts_that_end_well_are_begun_for_as_many_bad_meters_as_there_are():
 
 
 def test_a_scan_whose_starts_end_badly_has_steps_for_two_of_them():
-    memory, decided = evaluate(Memory(), MOST_STEPS + MOST_STEPS_ANEW)
+    memory, decided = evaluate(Memory(), 2 * MOST_STEPS)
     assert decided.decision is Decision.ANEW
-    memory, decided = evaluate(memory, MOST_STEPS + MOST_STEPS_ANEW + FULL_STEPS + 1)
+    memory, decided = evaluate(memory, 2 * MOST_STEPS + FULL_STEPS + 1)
     assert decided == verdict.Verdict(Decision.FINAL, reason=verdict.STEPS_USED_UP)
     assert memory.removed == ("m0",)
 
@@ -185,15 +207,15 @@ def test_the_compiled_iteration_rests_on_the_same_estimate_where_a_removal_diver
     assert sparse.result.memory.kept == "vm@3"
 
 
-@pytest.mark.parametrize("most", [1, 2, 3, 4])
-def test_it_begins_anew_after_as_many_steps(most, monkeypatch, backend):
+def test_it_begins_anew_after_as_many_steps(monkeypatch, backend):
     """From a start that is far off, the flat start needs as many steps as it does alone."""
-    monkeypatch.setattr(verdict, "MOST_STEPS", most)
     grid = draw_grid(1)
     n = len(grid.network.buses)
     alone = estimate_state(grid.network, grid.measurements, backend=backend)
+    for module in (verdict, radial):
+        monkeypatch.setattr(module, "MOST_STEPS", alone.iterations)
     start = (np.full(n, 1 + 2 * MAX_DVM), np.zeros(n))
     begun = estimate_state(grid.network, grid.measurements, start=start, backend=backend)
-    assert begun.memory.from_flat_start == alone.memory.from_flat_start
-    assert begun.iterations == (alone.iterations if begun.memory.from_flat_start else begun.iterations)
+    assert begun.memory.from_flat_start
+    assert begun.iterations == alone.iterations
     np.testing.assert_allclose(begun.vm, alone.vm, atol=1e-9)

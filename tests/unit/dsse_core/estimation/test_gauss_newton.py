@@ -6,14 +6,23 @@ import numpy as np
 import pytest
 
 from dsse_core import gauss_newton
-from dsse_core.gauss_newton import EVALUATE, FINAL, LAST_STEP, LEAST_RATE, REST, correct_step, next_step
+from dsse_core.gauss_newton import (
+    EVALUATE,
+    FINAL,
+    LAST_STEP,
+    LEAST_RATE,
+    MOST_SHARE,
+    REST,
+    choose_share,
+    correct_step,
+    next_step,
+)
 
 
 def is_last(largest: float, before: float, with_currents: bool, tolerance: float) -> bool:
     """The step to come is the last one, with J far below its limit."""
-    verdict, _, _ = next_step(
-        3, 1.0, True, before, largest, True, with_currents, objective=1.0, limit=2.0, tolerance=tolerance, most_steps=25
-    )
+    options = {"objective": 1.0, "limit": 2.0, "tolerance": tolerance, "most_steps": 25, "coming": 1.0}
+    verdict, _, _ = next_step(3, 1.0, True, before, largest, True, with_currents, **options)
     return verdict == FINAL
 
 
@@ -75,7 +84,7 @@ def test_a_smaller_tolerance_bounds_the_step_to_come(tolerance, count):
 
 def test_nothing_ends_while_j_lies_beside_its_limit():
     def verdict(objective: float, largest: float) -> int:
-        options = {"tolerance": LAST_STEP, "most_steps": 25}
+        options = {"tolerance": LAST_STEP, "most_steps": 25, "coming": 1.0}
         return next_step(3, 1.0, True, 1e-3, largest, True, False, objective=objective, limit=20.0, **options)[0]
 
     assert (verdict(19.0, 1e-6), verdict(21.0, 1e-6)) == (FINAL, EVALUATE)
@@ -92,16 +101,23 @@ def test_the_compiled_step_control_says_the_same_as_the_plain_one_of_100000_iter
     steps, (stepped, known, currents) = rng.integers(0, 30, count), rng.random((3, count)) < 0.7
     share, J = rng.choice([0.5, 1.0], count), 20 + rng.choice([1e-3, 1e-1, 10.0], count) * rng.standard_normal(count)
     before = np.where(rng.random(count) < 0.2, 0.0, 10.0 ** rng.uniform(-12, 1, count))
-    ends = set()
+    ends, shares = set(), set()
+    products = np.where(rng.random((3, count)) < 0.1, 0.0, 10.0 ** rng.uniform(-4, 0, (3, count)))
+    products[2] *= rng.choice([-1, 1], count)
     for k in range(count):
         dva, dvm, largest = sizes[:, k].tolist()
         of_step = float(share[k]), bool(stepped[k]), bool(known[k]), dva, dvm
         assert radial_iteration.correct_step(*of_step) == correct_step(*of_step)
+        of_pair = int(steps[k]), bool(currents[k]), float(share[k]), *products[:, k].tolist()
+        coming = choose_share(*of_pair)
+        assert radial_iteration.choose_share(*of_pair) == coming
+        shares.add(coming)
         of_state = (
             int(steps[k]), float(share[k]), bool(stepped[k]), float(before[k]), largest, bool(known[k]),
-            bool(currents[k]), float(J[k]), 20.0, 1e-5, 25,
+            bool(currents[k]), float(J[k]), 20.0, 1e-5, 25, coming,
         )  # fmt: skip
         plain = next_step(*of_state)
         assert radial_iteration.next_step(*of_state) == plain
         ends |= {plain[0], correct_step(*of_step)[0]}
     assert ends == set(range(6))
+    assert {1 / MOST_SHARE, 1.0, MOST_SHARE} < shares
