@@ -55,7 +55,7 @@ def test_every_wrong_value_of_a_list_is_named_with_its_place(tmp_path: Path, con
     assert "'much'" in r
     assert kind.startswith("meter.kind[1]: ")
     assert colour == (
-        "network.bus.colour: unknown key; allowed here: id, base_kv, name, p_load, q_load, g_shunt, b_shunt"
+        "network.bus.colour: unknown key; allowed here: id, base_kv, name, p_load, q_load, g_shunt, b_shunt, x, y"
     )
 
 
