@@ -208,7 +208,7 @@ def find_skewed_clocks(skewed: Mapping[str, Skew]) -> Iterator[Finding]:
         where = "ahead of" if skew.ahead_s > 0 else "behind"
         yield Finding(
             DEGRADED,
-            f"the clock of {name} is {abs(skew.ahead_s):.2g} s {where} that of this area; set the wrong one",
+            f"the clock of {name} is {abs(skew.ahead_s):.2g} s {where} that of this area; one of the two is wrong",
             f"clock {where}",
             [name],
         )
@@ -273,7 +273,7 @@ def find_leader_clock(leader: str, ahead_s: float) -> Iterator[Finding]:
         where = "ahead of" if ahead_s > 0 else "behind"
         yield Finding(
             DEGRADED,
-            f"the clock of {leader} is {abs(ahead_s):.0f} s {where} that of this area; set the wrong one",
+            f"the clock of {leader} is {abs(ahead_s):.0f} s {where} that of this area; one of the two is wrong",
             f"clock {where}",
             [leader],
         )

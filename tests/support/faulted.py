@@ -96,19 +96,27 @@ def rate(folder: Path, area: str) -> str:
 METER = {"area2": "p_injection@10", "area3": "p_injection@28"}
 CUT = {"at_s": FAULT_AT_S, "for_s": 50.0}
 FAULTS = {
-    "area killed": Fault("gone", "{0} is gone since 4.0 s: restart its agent", act=lambda f, area: f.bus.kill(area)),
+    "area killed": Fault(
+        "gone",
+        "the agent of {0} is gone since 4.0 s: start `dsse agent {0}.toml` again",
+        act=lambda f, area: f.bus.kill(area),
+    ),
     "link cut": Fault(
         "link",
-        "nothing has passed between area1 and {0} since 3.8 s: look at the network between them",
+        "no message has passed between the agents of area1 and {0} since 3.8 s: look at the network",
         lambda area: {"faults.events": [{**CUT, "cut": ["area1", area]}]},
     ),
-    "wrong file": Fault("file", "the file of {0} is older since 0.", is_older=True),
+    "wrong file": Fault("file", "the area file of {0} is older since 0.", is_older=True),
     "liar": Fault(
         "mismatch",
-        "area1 and {0} disagree at bus 6 by 0.",
+        "the estimates of area1 and {0} disagree at bus 6 by 0.",
         lambda area: {"faults.link": [{"from": area, "to": "area1", "lie": {"vm_pu": 0.02}}]},
     ),
-    "gateway dead": Fault("gateway", "plant is gone since 4.0 s: start it again", act=lambda f, area: f.end_plant()),
+    "gateway dead": Fault(
+        "gateway",
+        "the source of the readings (process `plant`) is gone since 4.0 s: start `dsse plant` again",
+        act=lambda f, area: f.end_plant(),
+    ),
     "clock off": Fault(
         "clock",
         "the clock of {0} is 3 s ahead since 0.",
@@ -116,7 +124,7 @@ FAULTS = {
     ),
     "bad meter": Fault(
         "bad data",
-        "the readings of {1} in {0} are wrong since 0.0 s: check them; they are left out",
+        "wrong readings of the active power meter at bus {3} ({1}) in {0} are left out since 0.0 s: check",
         lambda area: {"telemetry.gross_error": [{"meter": METER[area], "sigmas": 40.0}]},
     ),
     "overload": Fault("loading", "branch {2} is at 11", rates=True),
@@ -127,7 +135,7 @@ FAULTS = {
     ),
     "router dead": Fault(
         "router",
-        "no area has been received since 3.8 s: start the router again, or look at the network to it",
+        "no message of any area has been received since 3.8 s: start `dsse router` again",
         act=lambda f, area: f.bus.stop_router(),
     ),
 }
@@ -150,4 +158,4 @@ def run_with(faults: Mapping[str, str], folder: Path) -> Feeder:
 
 
 def words_of(fault: str, area: str) -> str:
-    return FAULTS[fault].words.format(area, METER[area], "-".join(RATED[area][:2]))
+    return FAULTS[fault].words.format(area, METER[area], "-".join(RATED[area][:2]), METER[area].split("@")[1])

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +28,7 @@ from coordinator.watch.interrupts import end_orderly_on_signals
 from coordinator.watch.observe.run_address import RunAddress
 
 if TYPE_CHECKING:  # the real imports stand in the command, so that every other starts fast
-    from coordinator.watch.observe.causes import Cause
+    from coordinator.watch.observe.causes import Cause, Onsets
     from coordinator.watch.observe.grid_tables import GridTables
     from coordinator.watch.observe.summary import Summary
     from coordinator.watch.observe.view import View
@@ -121,7 +122,14 @@ class Shown:
         if self.meters:
             found["meters"] = worst_first(Table("meters", tables.meters))
         summary = summarise(tables, self.known)
-        return view, found, find_causes(view, time.time(), summary), summary
+        now = time.time()
+        return view, found, self._onsets.date(find_causes(view, now, summary), now), summary
+
+    @cached_property
+    def _onsets(self) -> Onsets:
+        from coordinator.watch.observe.causes import Onsets
+
+        return Onsets()
 
     def write(self, watcher: Watcher) -> str:
         """The view as text, or as JSON in a line."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from agents.protocol.configuration import Configuration
 from coordinator.lab.evaluation.result import AreaResult, RunOutcome, RunResult
 from coordinator.lab.evaluation.verdict import Verdict
+from coordinator.watch.observe.causes import write_lines
 from coordinator.watch.tables.text_table import format_table
 from dsse_core.grid.partition import Area
 from dsse_core.printable import printable, printable_lines
@@ -18,7 +19,7 @@ TextTable = tuple[tuple[str, ...], list[tuple[str, ...]]]
 def format_verdict(result: RunResult) -> str:
     """The verdict of a run as text: outcome, causes, reason, table of gaps, table of areas, findings, run folder."""
     verdict = result.verdict
-    about = [*(line for cause in result.causes for line in cause.lines), describe_run(result.scenario)]
+    about = [*(line for _, lines in write_lines(result.causes) for line in lines), describe_run(result.scenario)]
     lines = [f"{name_outcome(verdict)}: {printable(about[0])}", *(f"  {printable(line)}" for line in about[1:])]
     if verdict.reason:
         lines.append(f"  {printable_lines(verdict.reason)}")

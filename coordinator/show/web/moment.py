@@ -13,7 +13,7 @@ import numpy as np
 from agents.protocol.quality import GOOD, QUALITIES
 from coordinator.show.web.history import History
 from coordinator.show.web.shown_tables import draw_tables
-from coordinator.watch.observe.causes import find_causes
+from coordinator.watch.observe.causes import Onsets, find_causes
 from coordinator.watch.observe.grid_tables import (
     Columns,
     GridTables,
@@ -114,6 +114,7 @@ class Moments:
 
     def __init__(self, known: GridTables | None) -> None:
         self.known = known
+        self.onsets = Onsets()
         self.history = History()
         self.events = Events()
         self.tables = Tables(list_buses({}, {}), None, collect_readings({}, {}, {}))  # of the last moment
@@ -143,7 +144,7 @@ class Moments:
         self._note(at, view, links, lambda: tables)
         self.tables, summary = tables, summarise(tables, self.known)
         return {
-            "causes": describe_causes(find_causes(view, at, summary)),
+            "causes": describe_causes(self.onsets.date(find_causes(view, at, summary), at)),
             "at": at,
             "view": describe_view(view),
             "summary": describe_summary(summary),

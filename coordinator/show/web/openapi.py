@@ -100,12 +100,20 @@ Link = TypedDict("Link", {"from": str, "to": str, "age_s": Number, "alive": bool
 
 
 class RootCause(TypedDict):
-    """A root cause, in words; ``effects``: of it on others; ``since``: on the clock of ``at``."""
+    """A root cause, in words; ``effects``: of it on areas; ``since``: on the clock of ``at``.
+
+    ``severity``: alarm or warning. ``scope``: grid or data, with a ``remark`` that says so. ``mark``: a word or two for
+    a map.
+    """
 
     text: str
+    scope: str
+    remark: str
     kind: str
     what: str
     action: str
+    severity: str
+    mark: str
     since: Number
     areas: list[str]
     buses: list[int]

@@ -11,7 +11,7 @@ import math
 import re
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -20,58 +20,180 @@ from agents.protocol.quality import GOOD
 from coordinator.watch.observe.notes import BAD_DATA, Noted
 from coordinator.watch.observe.summary import Summary
 from coordinator.watch.observe.view import OVER_S, AreaView, View
+from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.printable import listed, printable, shortened
+
+ALARM, WARNING = "alarm", "warning"
 
 
 class Words(NamedTuple):
-    """Sentence and cure of a kind of cause, with its names in braces."""
+    """Sentence and cure of a kind of cause, with its names in braces; ``mark``: a word or two for the map.
+
+    ``severity``: ALARM where the grid is beyond a limit, or numbers of the present are missing or may be false; WARNING
+    where states stay usable, or the fault is dealt with.
+    """
 
     what: str
     action: str
+    severity: str
+    mark: str
 
 
 WORDS = {
-    "nobody": Words("no area is there", "start the agents"),
-    "router": Words("no area has been received", "start the router again, or look at the network to it"),
-    "version": Words("{fault}", "{cure}"),
-    "duplicate": Words("{fault}", "stop the older ones"),
-    "gone": Words("{area} is gone", "restart its agent"),
-    "left": Words("{area} has left ({why})", "start its agent again"),
-    "silent": Words("{area} has sent nothing", "its process hangs, or has no link: look at its log and its network"),
-    "contradiction": Words("{area} rejects {other}: {why}", "correct the area file that is wrong"),
-    "file": Words("{whose} {fault}", "{cure} ({detail})"),
-    "clock": Words("the clock of {area} is {seconds} s {where}", "set it"),
-    "clocks": Words("the clocks of {area} and {other} differ by {seconds} s", "set the wrong one"),
-    "gateway": Words("{gateway} is gone", "start it again"),
-    "map": Words("all power readings of gateway {gateway} look wrong ({why})", "look at its map"),
-    "telemetry": Words("no readings have arrived in {areas}", "look at plant or gateways, and at the network to them"),
-    "link": Words("nothing has passed between {area} and {other}", "look at the network between them"),
-    "one-way link": Words("{area} has received nothing from {other}", "look at the network between them"),
-    "mismatch": Words(
-        "{area} and {other} disagree at bus {bus} by {difference}", "one of them sends false values: look at both"
+    "nobody": Words("no agent of an area is there", "start `dsse agent` for each area file", ALARM, ""),
+    "router": Words(
+        "no message of any area has been received",
+        "start `dsse router` again, or look at the network to its host",
+        ALARM,
+        "not received",
     ),
-    "liar": Words("{area} disagrees with {others} at bus {bus} by {difference}", "it sends false values: look at it"),
-    "distrust": Words("{area} does not believe {other}: {why}", "{other} sends false values, or passes them on"),
-    "impostor": Words("another process sends in the name of {other}", "use keys"),
-    "not observable": Words("no reading determines buses {buses}", "bring back the meters without a reading"),
-    "no estimate": Words("{area} has no estimate: {why}", "look for a wrong meter or a wrong file"),
-    "contradictory": Words("the readings contradict each other", "look for a wrong meter or a wrong file{hint}"),
-    "many removed": Words("{count} meters of {area} are removed", "look at its gateway and its file"),
-    "overdue": Words("{share} % of the readings of {area} are overdue or missing", "look at its gateway"),
-    "mistimed": Words("readings of {area} have an impossible time, as of {meter}", "set the clock of their gateway"),
-    "band": Words("voltages in {area} are outside {band}, {vm} p.u. at bus {bus}", "look for a wrong meter"),
-    "unreadable": Words("{area} cannot read what {other} sends ({why})", "look at the network and at the version"),
-    "loading": Words("branch {branch} is at {percent} % of its rating{more}", "relieve it"),
-    "low voltage": Words("bus {bus} is at {vm} p.u., below {limit} p.u.{more}", "raise the voltage, or shed load"),
-    "high voltage": Words("bus {bus} is at {vm} p.u., above {limit} p.u.{more}", "lower the voltage"),
-    "undecided": Words("of the readings of {meters} in {area} one is wrong", "check which; {meter} is left out"),
-    "bad data": Words("the readings of {meters} in {area} are wrong", "check them; they are left out"),
-    "under way": Words("the estimate of {areas} is under way", "wait for its end"),
-    "quality": Words("{area} is {quality}: {why}", "look at the log of its agent"),
+    "gone": Words("the agent of {area} is gone", "start `dsse agent {area}.toml` again", ALARM, "agent gone"),
+    "left": Words(
+        "the agent of {area} has ended ({why})", "start `dsse agent {area}.toml` again", ALARM, "agent ended"
+    ),
+    "silent": Words(
+        "the agent of {area} has sent nothing",
+        "it hangs, or has no link: look at the log of `dsse agent {area}.toml`, and at the network of its host",
+        ALARM,
+        "silent",
+    ),
+    "contradiction": Words(
+        "the agent of {area} rejects the messages of {other}: {why}",
+        "correct {area}.toml or {other}.toml",
+        ALARM,
+        "rejection",
+    ),
+    "file": Words("the area file of {area} {fault}", "{cure} ({detail})", ALARM, "wrong file"),
+    "gateway": Words(
+        "the source of the readings (process `{process}`) is gone", "start `dsse {role}` again", ALARM, "no readings"
+    ),
+    "map": Words(
+        "all power readings of gateway {gateway} look wrong ({why})",
+        "correct the map file of `dsse gateway`",
+        ALARM,
+        "wrong map",
+    ),
+    "telemetry": Words(
+        "no readings have arrived in {areas}",
+        "look at the processes that send them (`dsse plant`, `dsse gateway`), and at the network to them",
+        ALARM,
+        "no readings",
+    ),
+    "mismatch": Words(
+        "the estimates of {area} and {other} disagree at bus {bus} by {difference}",
+        "one of the two agents sends false values: look at both",
+        ALARM,
+        "{difference} apart",
+    ),
+    "liar": Words(
+        "the estimate of {area} disagrees with {others} at bus {bus} by {difference}",
+        "the agent of {area} sends false values: look at it",
+        ALARM,
+        "{difference} apart",
+    ),
+    "distrust": Words(
+        "the agent of {area} does not believe {other}: {why}",
+        "the agent of {other} sends false values, or passes them on",
+        ALARM,
+        "distrust",
+    ),
+    "not observable": Words(
+        "no reading determines buses {buses}", "bring back the meters without a reading", ALARM, "not determined"
+    ),
+    "no estimate": Words(
+        "{area} has no estimate: {why}", "look for a wrong meter or a wrong file", ALARM, "no estimate"
+    ),
+    "contradictory": Words(
+        "the readings contradict each other", "look for a wrong meter or a wrong file{hint}", ALARM, "contradiction"
+    ),
+    "many removed": Words(
+        "{count} meters of {area} are left out as wrong",
+        "look at their gateway, and at {area}.toml",
+        ALARM,
+        "meters left out",
+    ),
+    "band": Words(
+        "estimated voltages in {area} are impossible: outside {band}, {vm} p.u. at bus {bus}",
+        "look for a wrong meter",
+        ALARM,
+        "{vm} p.u.",
+    ),
+    "loading": Words(
+        "branch {branch} is at {percent} % of its rating{more}",
+        "shed or transfer load behind it",
+        ALARM,
+        "{percent} %",
+    ),
+    "low voltage": Words(
+        "bus {bus} is at {vm} p.u., below {limit} p.u.{more}", "raise the voltage, or shed load", ALARM, "{vm} p.u."
+    ),
+    "high voltage": Words(
+        "bus {bus} is at {vm} p.u., above {limit} p.u.{more}", "lower the voltage", ALARM, "{vm} p.u."
+    ),
+    "version": Words("{fault}", "{cure}", WARNING, ""),
+    "duplicate": Words("{fault}", "stop the older ones", WARNING, ""),
+    "clock": Words(
+        "the clock of {area} is {seconds} s {where}",
+        "set the clock of its host",
+        WARNING,
+        "clock {seconds} s {where}",
+    ),
+    "clocks": Words(
+        "the clocks of {area} and {other} differ by {seconds} s",
+        "find out which of the two hosts is wrong, and set its clock",
+        WARNING,
+        "clocks differ",
+    ),
+    "link": Words(
+        "no message has passed between the agents of {area} and {other}",
+        "look at the network between their hosts",
+        WARNING,
+        "no messages",
+    ),
+    "one-way link": Words(
+        "the agent of {area} has received no message of {other}",
+        "look at the network between their hosts",
+        WARNING,
+        "no messages",
+    ),
+    "impostor": Words("another process sends in the name of {other}", "use keys", WARNING, "impostor"),
+    "overdue": Words(
+        "{share} % of the readings of {area} are overdue or missing", "look at their gateway", WARNING, "readings late"
+    ),
+    "mistimed": Words(
+        "readings of {area} have an impossible time, as of {meter}",
+        "set the clock of their gateway",
+        WARNING,
+        "wrong times",
+    ),
+    "unreadable": Words(
+        "the agent of {area} cannot read what {other} sends ({why})",
+        "look at the network, and at the version of both",
+        WARNING,
+        "unreadable",
+    ),
+    "undecided": Words(
+        "one of {meters} in {area} reads wrong", "check which; {meter} is left out", WARNING, "doubtful meter"
+    ),
+    "bad data": Words(
+        "wrong readings of {meters} in {area} are left out",
+        "check what is measured there; the estimate holds without it",
+        WARNING,
+        "wrong meter",
+    ),
+    "under way": Words("the estimate of {areas} is under way", "wait for its end", WARNING, ""),
+    "quality": Words("{area} is {quality}: {why}", "look at the log of `dsse agent {area}.toml`", WARNING, "{quality}"),
 }
-"""Kind -> its words; where there are several causes, an earlier kind comes first."""
+"""Kind -> its words; of several causes the one of an earlier kind comes first, and alarms before warnings."""
 KINDS = tuple(WORDS)
-HARMLESS = ("loading", "low voltage", "high voltage", "undecided", "bad data", "unreadable", "impostor")
+OF_GRID = ("loading", "low voltage", "high voltage")
+"""Kinds that are states of the grid; all others are faults of the data on it."""
+REMARKS = {
+    "grid": "The grid itself is beyond a limit.",
+    "data": "The grid itself may be sound: the fault is in the data on it.",
+}
+SEEN = {"grid": "seen since", "data": "since"}  # the grid may have been beyond a limit before anybody has looked
+HARMLESS = (*OF_GRID, "undecided", "bad data", "unreadable", "impostor")
 """Kinds that leave the quality of states as it is: no state is worse because of them."""
 EXPLAINED = {
     "telemetry": {"gateway"},
@@ -88,25 +210,38 @@ EXPLAINED = {
 """Kind of an effect -> the kinds of its possible causes."""
 ITSELF = ("router", "gone", "left", "silent", "under way", "quality")
 """Kinds whose areas are the cause itself, and not an effect."""
-MOST_CAUSES, MOST_EFFECTS, MOST_NAMED = 8, 12, 4
+MOST_CAUSES, MOST_EFFECTS, MOST_NAMED, MOST_DESCRIBED = 8, 12, 4, 2
 LONGEST_PART = 200  # characters of a text from a note
 DISAGREES = 1e-6  # p.u. and rad, between final voltages of the same scan
 EPOCH_S = 1e8  # times below count from the begin of a run
 GATEWAYS = ("plant", "gateway")  # roles of the senders of readings
-METER = re.compile(r"[a-z_]+@(?P<bus>\d{1,15})(?::(?P<branch>.+))?")
+FILE_CURE = "replace {}.toml by that of the newest `dsse split`"
+NAMES = {
+    MeasurementKind.VM: "voltmeter",
+    MeasurementKind.VA: "angle meter",
+    MeasurementKind.P_INJECTION: "active power meter",
+    MeasurementKind.Q_INJECTION: "reactive power meter",
+    MeasurementKind.P_FLOW: "active power meter",
+    MeasurementKind.Q_FLOW: "reactive power meter",
+    MeasurementKind.CURRENT: "ammeter",
+}
+METER = re.compile(r"(?P<kind>[a-z_]+)@(?P<bus>\d{1,15})(?::(?P<branch>.+))?")
 
 
 @dataclass(frozen=True, slots=True)
 class Cause:
     """A root cause: ``what`` is wrong, as a sentence without its end, and the ``action`` that cures it.
 
+    ``severity``: ALARM or WARNING. ``mark``: a word or two at its place on a map.
     ``since``: s since 1970, in a playback from its begin; None where it is not known. ``areas``, ``buses``,
-    ``branches``, ``meters``: where. ``effects``: on others, a sentence each.
+    ``branches``, ``meters``: where. ``effects``: on areas, a sentence for each quality.
     """
 
     kind: str
     what: str
     action: str
+    severity: str
+    mark: str = ""
     since: float | None = None
     areas: tuple[str, ...] = ()
     buses: tuple[int, ...] = ()
@@ -115,14 +250,42 @@ class Cause:
     effects: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        since = "" if self.since is None else f" since {write_time(self.since)}"
+        since = "" if self.since is None else f" {SEEN[self.scope]} {write_time(self.since)}"
         return f"{self.what}{since}: {self.action}"
 
     @property
-    def lines(self) -> list[str]:
-        """The cause, and its effects in a line below, for a text that has the notes of all areas elsewhere."""
-        effects = ", ".join(effect.partition(": ")[0] for effect in self.effects)
-        return [str(self), *([f"  effects: {effects}"] if effects else [])]
+    def scope(self) -> str:
+        """``grid`` for a state of the grid, ``data`` for a fault of the data on it."""
+        return "grid" if self.kind in OF_GRID else "data"
+
+    @property
+    def remark(self) -> str:
+        """The scope as a sentence."""
+        return REMARKS[self.scope]
+
+
+def write_lines(causes: Iterable[Cause]) -> Iterator[tuple[Cause, list[str]]]:
+    """Each cause with its lines: itself, its remark unless the one before has the same, and its effects."""
+    said = ""
+    for cause in causes:
+        remark = [f"  {cause.remark}"] if cause.remark != said else []
+        yield cause, [str(cause), *remark, *([f"  effects: {', '.join(cause.effects)}"] if cause.effects else [])]
+        said = cause.remark
+
+
+class Onsets:
+    """Times since which several looks, one after the other, have seen the grid beyond a limit."""
+
+    def __init__(self) -> None:
+        self._since: dict[str, float] = {}
+        self._at = -math.inf
+
+    def date(self, causes: Iterable[Cause], at: float) -> tuple[Cause, ...]:
+        """``causes`` of the look at ``at``, those of the grid with the time of the first look that has found them."""
+        before = self._since if at >= self._at else {}  # a playback goes back
+        self._since = {cause.kind: before.get(cause.kind, at) for cause in causes if cause.scope == "grid"}
+        self._at = at
+        return tuple(replace(cause, since=self._since.get(cause.kind, cause.since)) for cause in causes)
 
 
 def write_time(at: float) -> str:
@@ -168,9 +331,9 @@ class _Findings:
     def make(self, kind: str, words: Mapping[str, object], since: float | None, **where: Any) -> Cause:
         """The cause of ``kind`` with its words filled in; ``since``: on the watcher's clock. ``where``: its places."""
         shown = {name: shortened(printable(str(word)), LONGEST_PART) for name, word in words.items()}
-        what, action = (words.format_map(shown) for words in WORDS[kind])
+        what, action, severity, mark = (words.format_map(shown) for words in WORDS[kind])
         where["areas"] = tuple(name for name in where.get("areas", ()) if name in self.areas)
-        return Cause(kind, what, action, None if since is None else since + self.offset, **where)
+        return Cause(kind, what, action, severity, mark, None if since is None else since + self.offset, **where)
 
     def find(self) -> Iterator[Cause]:
         """All causes but those of ``find_rest``, effects among them."""
@@ -249,8 +412,8 @@ class _Findings:
             name = area.name if noted.parts["other"] == "this area" else noted.parts["other"]
             faults[name] = min(faults.get(name, noted), noted, key=lambda n: math.inf if n.since is None else n.since)
         for name, noted in faults.items():
-            words = {"whose": f"the file of {name}" if name in self.areas else name, **noted.parts}
-            yield self.make("file", words, noted.since, areas=(name,))
+            cure = {"cure": FILE_CURE.format(name)} if name in self.areas else {}
+            yield self.make("file", {"area": name, **noted.parts, **cure}, noted.since, areas=(name,))
 
     def find_clocks(self) -> Iterator[Cause]:
         """Clocks that are off: the one that disagrees with most, as long as any disagree; of two alone, both."""
@@ -287,7 +450,8 @@ class _Findings:
             role, _, name = other.partition(" ")
             if self.unreachable and not _is_before(since, self.lost_at):
                 continue
-            yield self.make("gateway", {"gateway": name if role == "plant" else other}, since, areas=(*lacking,))
+            words = {"process": name if role == name else other, "role": role}
+            yield self.make("gateway", words, since, areas=(*lacking,))
         off = {area.name for area, noted in self.noted("future") if noted.parts["other"] == "telemetry"}
         if lacking := {name: noted for name, noted in lacking.items() if name not in off}:
             is_first = any("never" in noted.parts for noted in lacking.values())
@@ -370,7 +534,7 @@ class _Findings:
             parts["bus"], parts["hint"] = str(next(iter(buses), "")), "".join(f"; {name} stands out" for name in meters)
             if noted.kind == "undecided":
                 meters += noted.parts["others"].split(", ")
-                parts["meters"] = listed(meters, MOST_NAMED)
+                parts["meters"] = _describe_meters(meters)
             areas = (area.name,) if noted.kind != "contradictory" else ()
             yield self.make(noted.kind, parts, noted.since, areas=areas, **_find_places(meters, buses))
         for area in self.there.values():
@@ -378,7 +542,7 @@ class _Findings:
             removed = [n for n in area.noted if n.kind == BAD_DATA and n.parts["meter"] not in doubted]
             if removed:
                 meters = [noted.parts["meter"] for noted in removed]
-                words = {"meters": listed(meters, MOST_NAMED), "area": area.name}
+                words = {"meters": _describe_meters(meters), "area": area.name}
                 known = [noted.since for noted in removed if noted.since is not None]
                 since = min(known) if len(known) == len(removed) else None
                 yield self.make(BAD_DATA, words, since, areas=(area.name,), **_find_places(meters))
@@ -387,14 +551,14 @@ class _Findings:
         """The branch and the bus farthest beyond their limits."""
         loading, voltage, limits = summary.loading, summary.voltage, summary.limits
         for worst in loading.worst[:1]:
-            words = {"branch": worst.at, "percent": f"{worst.value:.0f}", "more": _and_more(loading.outside)}
+            words = {"branch": worst.at, "percent": f"{worst.value:.1f}", "more": _and_more(loading.outside)}
             yield self.make("loading", words, None, branches=tuple(found.at for found in loading.worst))
         for worst in voltage.worst[:1]:
             is_low = worst.value < limits.lowest_vm
             limit, kind = (limits.lowest_vm, "low voltage") if is_low else (limits.highest_vm, "high voltage")
             words = {
                 "bus": worst.at,
-                "vm": f"{worst.value:.4g}",
+                "vm": f"{worst.value:.4f}",
                 "limit": f"{limit:g}",
                 "more": _and_more(voltage.outside),
             }
@@ -460,6 +624,20 @@ def _first_number(text: str) -> int:
     return int(next(iter(re.findall(r"\d{1,15}", text)), 0))
 
 
+def _describe_meters(meters: Sequence[str]) -> str:
+    """Meters in words, with their ids; where there are many, the ids alone."""
+    found = [_describe_meter(meter) for meter in meters]
+    return " and ".join(found) if len(found) <= MOST_DESCRIBED else f"the meters {listed([*meters], MOST_NAMED)}"
+
+
+def _describe_meter(meter: str) -> str:
+    match = METER.fullmatch(meter)
+    if not match or match["kind"] not in NAMES:
+        return f"the meter {meter}"
+    branch = f" of branch {match['branch']}" if match["branch"] else ""
+    return f"the {NAMES[MeasurementKind(match['kind'])]}{branch} at bus {match['bus']} ({meter})"
+
+
 def _find_places(meters: Iterable[str], buses: Iterable[int] = ()) -> dict[str, Any]:
     """``meters``, and the buses and branches where they are, by the form of their ids."""
     ids = tuple(meters)
@@ -473,16 +651,19 @@ def _add_effects(view: View, causes: list[Cause]) -> Iterator[Cause]:
     """The causes, each with the areas whose quality it has lowered: of several causes the nearest, else the first."""
     links = _find_links(view)
     hops = {k: _count_hops(links, cause.areas) for k, cause in enumerate(causes) if cause.kind not in HARMLESS}
-    effects: list[list[str]] = [[] for _ in causes]
+    effects: list[dict[str, list[str]]] = [{} for _ in causes]  # of each cause, quality -> areas
     for area in view.areas:
         if hops and area.quality != GOOD:
             nearest = min(hops, key=lambda k: hops[k].get(area.name, math.inf if causes[k].areas else 0))
             if not (causes[nearest].kind in ITSELF and area.name in causes[nearest].areas):
-                why = f": {shortened(printable(area.notes[0]), LONGEST_PART)}" if area.notes else ""
-                effects[nearest].append(f"{printable(area.name)} is {printable(area.quality)}{why}")
-    for cause, sentences in zip(causes, effects, strict=True):
-        more = [f"and {len(sentences) - MOST_EFFECTS} areas more"] if len(sentences) > MOST_EFFECTS else []
-        yield replace(cause, effects=(*sentences[:MOST_EFFECTS], *more))
+                effects[nearest].setdefault(area.quality, []).append(printable(area.name))
+    for cause, of in zip(causes, effects, strict=True):
+        said = [f"{listed(names, MOST_EFFECTS)} {_is(names)} {printable(quality)}" for quality, names in of.items()]
+        yield replace(cause, effects=tuple(said))
+
+
+def _is(names: Sequence[str]) -> str:
+    return "is" if len(names) == 1 else "are"
 
 
 def _find_links(view: View) -> dict[str, set[str]]:

@@ -26,7 +26,7 @@ def describe_view(view: View) -> dict[str, Any]:
 
 def describe_causes(causes: Iterable[Cause]) -> list[dict[str, Any]]:
     """Causes as the page and ``dsse watch --json`` have them; ``text``: all in one sentence, with the time of here."""
-    return [{"text": str(cause), **asdict(cause)} for cause in causes]
+    return [{"text": str(cause), "scope": cause.scope, "remark": cause.remark, **asdict(cause)} for cause in causes]
 
 
 def _describe_area(area: AreaView) -> dict[str, Any]:

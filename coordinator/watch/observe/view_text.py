@@ -13,7 +13,7 @@ from rich.text import Text
 
 from agents.protocol.quality import DEGRADED, GOOD, QUALITIES
 from coordinator.watch.interrupts import Held
-from coordinator.watch.observe.causes import Cause
+from coordinator.watch.observe.causes import ALARM, Cause, write_lines
 from coordinator.watch.observe.summary import Extent, Power, Summary
 from coordinator.watch.observe.table_text import write_table
 from coordinator.watch.observe.view import AreaView, Extreme, View
@@ -92,10 +92,10 @@ def fit_view(
 
 def _write_causes(causes: Sequence[Cause], width: int) -> Iterator[tuple[str, str]]:
     """Lines of all causes, the first one in the first line, each with its effects below it."""
-    for k, cause in enumerate(causes):
-        what, *effects = cause.lines
-        yield from ((line, "bold red" if k == 0 else "red") for line in _wrap(what, width))
-        yield from ((line, "") for effect in effects for line in _wrap(effect.strip(), width, "  "))
+    for cause, (what, *below) in write_lines(causes):
+        colour = "red" if cause.severity == ALARM else "yellow"
+        yield from ((line, f"bold {colour}" if cause is causes[0] else colour) for line in _wrap(what, width))
+        yield from ((line, "") for text in below for line in _wrap(text.strip(), width, "  "))
 
 
 def _write_view(view: View, width: int, summary: Summary | None) -> Iterator[tuple[str, str]]:

@@ -118,7 +118,7 @@ def test_an_area_killed_at_last_is_missed_and_its_last_state_is_not_called_good(
     result = run(scenario, out=tmp_path / "out", plots=False, timeout_s=DEADLINE_S, **options)
     assert result.verdict.reason == f"no consensus within {DEADLINE_S:g} s: {gone}"
     (cause,) = result.causes
-    assert (cause.what, cause.areas) == ("area2 is gone", ("area2",))
+    assert (cause.what, cause.areas) == ("the agent of area2 is gone", ("area2",))
     assert json.loads((tmp_path / "out" / "result.json").read_text())["causes"][0]["what"] == cause.what
     assert {area.name: area.quality for area in result.area_results} == {
         "area1": "degraded",

@@ -96,7 +96,7 @@ def test_a_run_whose_plant_died_is_no_consensus_although_the_areas_agree(
         "the areas agree, but on stale estimates: area1, area2, area3 received the last telemetry, of scan 1, " in out
     )
     result = json.loads((run.folder / "result.json").read_text())
-    assert [cause["what"] for cause in result["causes"]] == ["plant is gone"]
+    assert [cause["what"] for cause in result["causes"]] == ["the source of the readings (process `plant`) is gone"]
     assert {area["quality"] for area in result["areas"].values()} == {"stale"}
     assert result["verdict"]["gap_vm_pu"] <= 1e-8
     assert_nothing_left(run.pids())

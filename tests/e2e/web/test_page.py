@@ -57,7 +57,7 @@ def test_a_bus_is_selected_an_area_dies_and_comes_back(shown: Shown):
         page.wait_for_selector("#past canvas")
         keep_picture(page, "page-live")
         shown.system.end("area2", signal.SIGKILL)
-        page.wait_for_selector("#cause.bad >> text=area2 is gone", timeout=LONG_MS)
+        page.wait_for_selector("#cause.bad >> text=the agent of area2 is gone", timeout=LONG_MS)
         page.wait_for_selector("#areas >> text=is gone", timeout=LONG_MS)
         wait_until(lambda: cell_of(page, "area1", "Quality") == "degraded")
         page.wait_for_selector("#glance .bad >> text=2 of 2 not good")

@@ -70,7 +70,7 @@ def test_a_leader_whose_clock_is_off_is_named(off_s: float, words: str):
     header = replace(message.header, scan=2, sequence=2, time=STARTED_AT + bus.now + off_s)
     bus._take_over("area2", replace(message, header=header, times=(header.time,) * len(message.times)))
     bus.run(0.7)
-    assert f"the clock of plant is {words} that of this area; set the wrong one" in bus.states["area2"].notes
+    assert f"the clock of plant is {words} that of this area; one of the two is wrong" in bus.states["area2"].notes
     assert bus.states["area2"].quality != "good"
 
 
