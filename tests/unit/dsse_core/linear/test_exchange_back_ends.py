@@ -158,18 +158,22 @@ def injections_of(model: AreaModel, rng: np.random.Generator) -> CoupledRows:
     return CoupledRows(find)
 
 
+def full(C: sp.csr_array | np.ndarray) -> np.ndarray:
+    return np.asarray(C.toarray() if sp.issparse(C) else C)
+
+
 def reference_of(
     model: AreaModel, x: np.ndarray, received: Mapping[str, BoundaryInformation]
 ) -> tuple[np.ndarray, ...]:
     """Step and covariance from one dense factor of all weighted rows, heavy ones first and columns pivoted."""
     own = model.contribution(model.predict(x))
-    H, r, root = [model.rows.full(model.jacobian(x))], [own.residual + own.shift], [own.weight**0.5]
+    H, r, root = [full(model.jacobian(x))], [own.residual + own.shift], [own.weight**0.5]
     for further in (rows.at(x) for rows in model.further):
         H, r, root = [*H, further.H.toarray()], [*r, further.residual], [*root, 1 / further.sigma]
     for neighbour in model.area.neighbours:
         y, T = model.boundary(x, neighbour)
         R, z = received[neighbour.area].rows
-        H, r, root = [*H, R @ model.rows.full(T)], [*r, z - R @ y], [*root, np.ones(len(z))]
+        H, r, root = [*H, R @ full(T)], [*r, z - R @ y], [*root, np.ones(len(z))]
     rows = np.concatenate(root)[:, None] * np.column_stack([np.concatenate(H)[:, model.free], np.concatenate(r)])
     rows = rows[np.argsort(-abs(rows[:, :-1]).max(axis=1))]
     Q, triangle, order = scipy.linalg.qr(rows[:, :-1], mode="economic", pivoting=True)
