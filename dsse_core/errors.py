@@ -64,12 +64,12 @@ class PowerFlowDivergedError(DsseError):
 
 
 class NotObservableError(DsseError):
-    """The measurements do not determine the state; names the buses and a meter that would cure it.
+    """The measurements do not determine the state; names the buses, with phases such as "645.b", and a cure.
 
     ``left_out``: meters that are not believed, each with its reading, as text.
     """
 
-    def __init__(self, buses: Sequence[int], cures: Sequence[str], left_out: Sequence[str] = ()) -> None:
+    def __init__(self, buses: Sequence[int | str], cures: Sequence[str], left_out: Sequence[str] = ()) -> None:
         self.buses = tuple(buses)
         self.cures = tuple(cures)
         self.left_out = tuple(left_out)

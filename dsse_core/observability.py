@@ -20,6 +20,7 @@ from dsse_core.grid.measurement import MeasurementKind, Meter, find_meter_proble
 from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
 from dsse_core.grid.meter_table import KINDS, each_fits, number_kinds, number_meters
 from dsse_core.grid.network import Network
+from dsse_core.grid.nodes import PHASES, list_phases
 from dsse_core.grid.radial_order import order_tableau
 from dsse_core.matrices.augmented import AugmentedPattern, reciprocal_row_lengths, scale_rows
 
@@ -78,10 +79,11 @@ def find_indispensable_rows(network: Network, meters: Sequence[Meter], *, refere
     null = np.zeros((2 * n, unseen.shape[1]))
     null[free] = unseen
     undetermined = find_touched(null)
-    rows = network.table.nodes.item[undetermined.reshape(2, n).any(axis=0)]
-    buses = network.table.bus_id[np.unique(rows)].tolist()
-    present = {meter.id for meter in meters}
-    raise NotObservableError(buses, _find_cures(network, buses, present, null, reference))
+    rows, nodes = np.flatnonzero(undetermined.reshape(2, n).any(axis=0)), network.table.nodes
+    of_nodes = zip(network.table.bus_id[nodes.item[rows]].tolist(), nodes.phase[rows].tolist(), strict=True)
+    places, present = [(bus, PHASES[phase]) for bus, phase in of_nodes], {meter.id for meter in meters}
+    names = [f"{bus}.{phase}" if phase else bus for bus, phase in places]
+    raise NotObservableError(names, _find_cures(network, places, present, null, reference))
 
 
 def _all_fit(network: Network, meters: Sequence[Meter]) -> bool:
@@ -178,14 +180,14 @@ def _scaled_jacobian(network: Network, model: MeasurementModel, reference: int) 
 
 
 def _find_cures(
-    network: Network, buses: Sequence[int], present: set[str], null: np.ndarray, reference: int
+    network: Network, places: Sequence[tuple[int, str]], present: set[str], null: np.ndarray, reference: int
 ) -> list[str]:
     """Single meters whose rows see every null vector, as text."""
     if null.shape[1] == WIDTH:
         return []
     candidates = [
         missing
-        for candidate in _candidates(network, buses)
+        for candidate in _candidates(network, places)
         if (missing := [meter for meter in candidate if meter.id not in present])
     ]
     model = _no_load_model(network, [meter for candidate in candidates for meter in candidate])
@@ -203,22 +205,24 @@ def _split(rows: np.ndarray, lengths: Sequence[int]) -> list[np.ndarray]:
     return np.split(rows, np.cumsum(lengths)[:-1])
 
 
-def _candidates(network: Network, buses: Sequence[int]) -> Iterator[list[Meter]]:
+def _candidates(network: Network, places: Sequence[tuple[int, str]]) -> Iterator[list[Meter]]:
     kind = MeasurementKind
-    for bus in buses:
-        yield [Meter(kind.VM, bus)]
-    for branch in dict.fromkeys(branch for bus in buses for branch in network.branches_at[bus]):
-        yield [Meter(k, branch.from_bus, branch.id) for k in (kind.P_FLOW, kind.Q_FLOW)]
-    for bus in buses:
-        yield [Meter(k, bus) for k in (kind.P_INJECTION, kind.Q_INJECTION)]
-    for bus in buses:
-        yield [Meter(k, bus) for k in (kind.VM, kind.VA)]
+
+    def at(place: tuple[int, str], *kinds: MeasurementKind) -> list[Meter]:
+        return [Meter(k, place[0], phases=place[1]) for k in kinds]
+
+    yield from (at(place, kind.VM) for place in places)
+    for branch in dict.fromkeys(branch for bus, _ in places for branch in network.branches_at[bus]):
+        for phase in list_phases(branch.primitive.from_phases if branch.primitive else ""):
+            yield [Meter(k, branch.from_bus, branch.id, phases=phase) for k in (kind.P_FLOW, kind.Q_FLOW)]
+    yield from (at(place, kind.P_INJECTION, kind.Q_INJECTION) for place in places)
+    yield from (at(place, kind.VM, kind.VA) for place in places)
 
 
 def _describe(meters: Sequence[Meter]) -> str:
     """E.g. "P and Q flow of branch 3-4 at bus 3", "voltage magnitude at bus 2"."""
     what = " and ".join(_QUANTITY[meter.kind] for meter in meters)
-    bus, branch = meters[0].bus, meters[0].branch
+    bus, branch = meters[0].at, meters[0].branch
     if branch:
         return f"{what} flow of branch {branch} at bus {bus}"
     return f"{what} injection at bus {bus}" if meters[0].kind.of_injection else f"{what} at bus {bus}"

@@ -16,8 +16,9 @@ from functools import cached_property
 
 import numpy as np
 
+from dsse_core.grid.nodes import PHASE
+
 MOST_VARIABLES = 1000
-PHASE = "[abc]|s[12]"
 NAME = re.compile(rf"(?P<what>[sv])@(?P<bus>-?(0|[1-9][0-9]{{0,15}}))(\.(?P<phases>({PHASE})+))?(>(?P<area>.+))?")
 
 
@@ -84,11 +85,6 @@ class Boundary:
     def is_single(self) -> bool:
         """True where the areas meet at a single bus with one phase."""
         return self.d == 2 * self.n_powers == D_SINGLE
-
-    @cached_property
-    def voltage_buses(self) -> tuple[int, ...]:
-        """The bus of each voltage."""
-        return tuple(variable.bus for variable in self.variables if variable.kind is Kind.VM)
 
     @cached_property
     def buses(self) -> tuple[int, ...]:

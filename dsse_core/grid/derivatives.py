@@ -12,7 +12,7 @@ ACTIVE, REACTIVE, CURRENT, MAGNITUDE, ANGLE = range(5)  # what a meter reads
 
 
 @compiled
-def linearize(x, reads, node_row, indptr, column, y, at_node, wanted, floors):
+def linearize(x, reads, indptr, column, y, at_node, wanted, floors):
     """h(x), (n_meas,), and derivatives at the places ``wanted`` among those by va, then by vm, of all entries of y.
 
     ``reads`` (n_meas,): the quantity that each meter reads. ``floors``: below the first the derivative of a current
@@ -25,17 +25,19 @@ def linearize(x, reads, node_row, indptr, column, y, at_node, wanted, floors):
         phase[k] = complex(math.cos(x[k]), math.sin(x[k]))
     h, derivatives = np.empty(len(reads)), np.empty(2 * n_entries if len(wanted) > 0 else 0)
     for m in range(len(reads)):
-        node = node_row[m]
-        u, i = complex(x[n + node] * phase[node].real, x[n + node] * phase[node].imag), 0j
+        u = i = 0j
         for e in range(indptr[m], indptr[m + 1]):
             c = column[e]
-            i += y[e] * complex(x[n + c] * phase[c].real, x[n + c] * phase[c].imag)
+            v = complex(x[n + c] * phase[c].real, x[n + c] * phase[c].imag)
+            i += y[e] * v
+            if at_node[e] != 0.0:
+                u += at_node[e] * v
         h[m], of_u, of_i = read(reads[m], u, i, floors)
         if len(wanted) > 0:
             for e in range(indptr[m], indptr[m + 1]):
                 along = of_i * y[e]
                 if at_node[e] != 0.0:
-                    along += of_u
+                    along += at_node[e] * of_u
                 along *= phase[column[e]]
                 derivatives[e] = -along.imag * x[n + column[e]]
                 derivatives[n_entries + e] = along.real

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -12,8 +13,10 @@ from numpy.typing import ArrayLike
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.network import Network
+from dsse_core.grid.nodes import PHASE, list_phases
 from dsse_core.limits import LEAST_USABLE_SIGMA, MOST_USABLE_SIGMA
 
+LONGEST_BUS = 18  # digits
 VIRTUAL_IS = "only an injection of exactly 0 can be virtual"
 
 
@@ -51,29 +54,51 @@ class Source(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Meter:
-    """A quantity that can be measured: its kind and its place (for flows, the branch and the end's bus)."""
+    """A quantity that can be measured: its kind and its place (for flows, the branch and the end's bus).
+
+    ``phases`` of that bus: "" in a balanced network, "a" between phase a and the ground, "ab" between a and b.
+    """
 
     kind: MeasurementKind
     bus: int
     branch: str | None = None
     source: Source = Source.TELEMETERED
+    phases: str = field(default="", metadata={"in_files": False})
     _id: str | None = field(default=None, init=False, repr=False, compare=False)
 
     @property
     def id(self) -> str:
-        """Unique within a network, e.g. ``vm@1``, ``p_injection@4``, ``q_flow@3:3-6``; the tie-breaker.
+        """Unique within a network, e.g. ``vm@1``, ``p_injection@4.a``, ``q_flow@3:3-6``; the tie-breaker.
 
         Made once: an area knows its meters by id in a dozen tables.
         """
         if self._id is not None:
             return self._id
-        made = self.kind + (f"@{self.bus}:{self.branch}" if self.branch else f"@{self.bus}")
+        made = f"{self.kind}@{self.at}:{self.branch}" if self.branch else f"{self.kind}@{self.at}"
         object.__setattr__(self, "_id", made)
         return made
 
+    @property
+    def at(self) -> str:
+        """The bus with the phases, e.g. ``4`` or ``4.ab``."""
+        return f"{self.bus}.{self.phases}" if self.phases else str(self.bus)
+
     def __str__(self) -> str:
-        place = f"branch {self.branch} at bus {self.bus}" if self.branch else f"bus {self.bus}"
+        place = f"branch {self.branch} at bus {self.at}" if self.branch else f"bus {self.at}"
         return f"{self.id} ({self.kind} of {place})"
+
+
+KIND_OF = {str(kind): kind for kind in MeasurementKind}
+_PLACE = re.compile(rf"(\d{{1,{LONGEST_BUS}}})(?:\.((?:{PHASE})+))?(?::(.*))?")
+
+
+def read_meter_id(text: str) -> Meter | None:
+    """The meter with the id ``text``, as ``Meter.id`` writes it; None where it is none."""
+    kind, _, place = text.partition("@")
+    if kind not in KIND_OF or (found := _PLACE.fullmatch(place)) is None:
+        return None
+    bus, phases, branch = found.groups()
+    return Meter(KIND_OF[kind], int(bus), branch or None, phases=phases or "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,9 +168,9 @@ def check_readings(network: Network, meters: Sequence[Meter], values: np.ndarray
 def find_meter_problems(network: Network, meters: Iterable[Meter]) -> Iterable[str]:
     """Every meter that does not fit the network, as text."""
     row, branch_by_id = network.row, network.branch_by_id
-    seen: set[tuple[MeasurementKind, int, str | None]] = set()
+    seen: set[tuple[MeasurementKind, int, str | None, str]] = set()
     for meter in meters:
-        place = (meter.kind, meter.bus, meter.branch)  # as unique as the id, and made in less time
+        place = (meter.kind, meter.bus, meter.branch, meter.phases)  # as unique as the id, and made in less time
         if place in seen:
             yield f"meter {meter.id} is given twice; keep one reading of each quantity"
         seen.add(place)
@@ -163,3 +188,24 @@ def find_meter_problems(network: Network, meters: Iterable[Meter]) -> Iterable[s
                 yield f"meter {meter.id}: branch {meter.branch} does not end at bus {meter.bus}"
         elif meter.branch is not None:
             yield f"meter {meter.id}: a {meter.kind} meter stands at a bus, not on a branch"
+        if meter.bus in row:
+            yield from _find_problems_of_phases(network, meter)
+
+
+def _find_problems_of_phases(network: Network, meter: Meter) -> Iterable[str]:
+    """Phases of a meter that its bus, or its end of its branch, does not have, as text."""
+    bus = network.bus(meter.bus)
+    there, branch = bus.phases, network.branch_by_id.get(meter.branch or "")
+    if branch is not None and branch.primitive is not None:
+        at_from = meter.bus == branch.from_bus
+        there = branch.primitive.from_phases if at_from else branch.primitive.to_phases
+    if not meter.phases and not bus.phases:
+        return
+    wanted, most = list_phases(meter.phases), 1 if meter.kind.of_branch else 2
+    if not bus.phases:
+        yield f"meter {meter.id}: bus {bus.id} has no phases; leave them out"
+    elif not meter.phases or not 0 < len(wanted) <= most or len(set(wanted)) < len(wanted):
+        pair = "" if most == 1 else ", or two"
+        yield f"meter {meter.id}: name one phase{pair} of bus {bus.id}, which has {', '.join(list_phases(bus.phases))}"
+    elif missing := [phase for phase in wanted if phase not in list_phases(there)]:
+        yield f"meter {meter.id}: phase {', '.join(missing)} is not there, only {', '.join(list_phases(there))}"

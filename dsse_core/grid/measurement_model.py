@@ -27,14 +27,16 @@ VOLTAGE_FLOOR = 1e-9  # p.u.; least divisor |u| of the derivatives of |u| and ar
 class MeasurementModel:
     """The measurement functions of ``meters``; ``x = [va; vm]``, shape (2 n_nodes,), rad and p.u.
 
-    ``y`` (n_meas, n_nodes) holds the admittance row of each meter, ``node`` (n_meas,) its node.
+    ``y`` (n_meas, n_nodes) holds the admittance row of each meter, ``node`` (n_meas,) its node. ``other``
+    (n_meas,): the node to which its voltage counts, -1 for the ground; None where that is so for all.
     """
 
     kinds: np.ndarray
     node: np.ndarray
     y: sp.csr_array
     meter_row: np.ndarray  # (nnz,): the meter of each stored entry of y
-    at_node: np.ndarray  # (nnz,): 1 where the entry's column is the metered node, the pattern of C
+    at_node: np.ndarray  # (nnz,): C at the entry's column, 1 at the metered node and -1 at the other one
+    other: np.ndarray | None = None
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """h(x), shape (n_meas,), p.u. and rad."""
@@ -78,7 +80,7 @@ class MeasurementModel:
 
         places = self._pattern[0] if with_H else self._pattern[0][:0]
         y, floors = self.y, (CURRENT_FLOOR, VOLTAGE_FLOOR)
-        of_meters = self._reads, self.node, y.indptr, y.indices, y.data, self.at_node
+        of_meters = self._reads, y.indptr, y.indices, y.data, self.at_node
         found: tuple[np.ndarray, np.ndarray] = derivatives.linearize(x, *of_meters, places, floors)
         return found
 
@@ -134,7 +136,12 @@ class MeasurementModel:
         va, vm = x[:n], x[n:]
         phase = np.exp(1j * va)
         v = vm * phase
-        return v[self.node], self.y @ v, vm, phase
+        return self.find_voltages(v), self.y @ v, vm, phase
+
+    def find_voltages(self, v: np.ndarray) -> np.ndarray:
+        """The metered voltages u = C v, (n_meas,), for those of all nodes, (n_nodes,)."""
+        u: np.ndarray = v[self.node]
+        return u if self.other is None else u - np.where(self.other < 0, 0.0, v[self.other])
 
     @cached_property
     def _rows(self) -> list[np.ndarray]:
@@ -166,6 +173,7 @@ def stack_models(above: MeasurementModel, below: MeasurementModel) -> Measuremen
         y=sp.csr_array(sp.vstack([above.y, below.y], format="csr")),
         meter_row=np.concatenate([above.meter_row, len(above.kinds) + below.meter_row]),
         at_node=np.concatenate([above.at_node, below.at_node]),
+        other=None if above.other is None or below.other is None else np.concatenate([above.other, below.other]),
     )
 
 
@@ -173,12 +181,23 @@ def build_measurement_model(network: Network, admittance: Admittance, meters: Se
     """The model of ``meters``: of each its node and its row of ``stacked``, that of the node or of the port."""
     table = tabulate_meters(network, meters)
     rows = np.where(table.branch < 0, table.node, network.n_nodes + table.port)
-    y = sp.csr_array(admittance.stacked[rows])
+    y, node, other = sp.csr_array(admittance.stacked[rows]), table.node, table.other
+    if other is not None:
+        y = _with_entries(y, other)
     meter_row = np.repeat(np.arange(len(rows)), np.diff(y.indptr))
+    at_node = (y.indices == node[meter_row]).astype(float)
     return MeasurementModel(
         kinds=np.array(KINDS, dtype="<U12")[table.kind],
-        node=table.node,
+        node=node,
         y=y,
         meter_row=meter_row,
-        at_node=(y.indices == table.node[meter_row]).astype(float),
+        at_node=at_node if other is None else at_node - (y.indices == other[meter_row]),
+        other=other,
     )
+
+
+def _with_entries(y: sp.csr_array, column: np.ndarray) -> sp.csr_array:
+    """``y`` (k, n) with a stored entry in each row's ``column`` (k,), be it zero; -1 for none."""
+    row, found = np.flatnonzero(column >= 0), y.tocoo()
+    rows, columns = np.append(found.coords[0], row), np.append(found.coords[1], column[row])
+    return sp.csr_array(sp.coo_array((np.append(found.data, np.zeros(len(row))), (rows, columns)), shape=y.shape))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from dsse_core.grid.columns import Records, Rows, rows_of_texts
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Network
 from dsse_core.grid.network_table import NetworkTable
+from dsse_core.grid.nodes import PHASES, list_phases
 
 KINDS, SOURCES = tuple(MeasurementKind), tuple(Source)
 NO_BRANCH, UNKNOWN = -2, -1
@@ -25,18 +27,27 @@ _CODE_OF_KIND = {id(kind): k for k, kind in enumerate(KINDS)}  # members are sin
 class MeterTable:
     """Columns of meters, shape (n_meas,) each. ``kind``: position in KINDS. ``bus``: row of the bus, UNKNOWN where the
     network has no such bus. ``branch``: row of the branch among those in service, UNKNOWN where it is not among them,
-    NO_BRANCH for a meter at a bus.
+    NO_BRANCH for a meter at a bus. ``phases`` (2, n_meas): the phase that is metered and, where a meter stands between
+    two, the other one, else UNKNOWN; None in a balanced network.
     """
 
     network: NetworkTable
     kind: np.ndarray
     bus: np.ndarray
     branch: np.ndarray
+    phases: np.ndarray | None = None
 
-    @property
+    @cached_property
     def node(self) -> np.ndarray:
         """The row of each meter's node; UNKNOWN where the network has no such node."""
-        return self.network.nodes.find(self.bus)
+        return self.network.nodes.find(self.bus, 0 if self.phases is None else self.phases[0])
+
+    @cached_property
+    def other(self) -> np.ndarray | None:
+        """The node to which each meter's voltage counts, UNKNOWN for the ground; None in a balanced network."""
+        if self.phases is None:
+            return None
+        return np.where(self.phases[1] < 0, UNKNOWN, self.network.nodes.find(self.bus, np.maximum(self.phases[1], 0)))
 
     @property
     def port(self) -> np.ndarray:
@@ -44,7 +55,8 @@ class MeterTable:
         f = np.append(self.network.f, UNKNOWN)  # the last row stands for NO_BRANCH and UNKNOWN
         branch = np.maximum(self.branch, UNKNOWN)
         at_to = np.where(f[branch] == self.bus, 0, len(f) - 1)
-        return self.network.ports.find(np.where(branch < 0, UNKNOWN, branch + at_to))
+        end = np.where(branch < 0, UNKNOWN, branch + at_to)
+        return self.network.ports.find(end, 0 if self.phases is None else self.phases[0])
 
 
 def make_meters(
@@ -149,8 +161,10 @@ def find_places(network: Network, meters: Sequence[Meter], wanted: Sequence[Mete
 
 def number_meters(network: Network, meters: Sequence[Meter]) -> np.ndarray:
     """A number for each of ``meters``, (n_meas,), the same for the same kind and place; each meter fits the network."""
-    table = tabulate_meters(network, meters)
-    number: np.ndarray = ((table.branch - NO_BRANCH) * len(network.table.bus_id) + table.bus) * len(KINDS) + table.kind
+    table, n = tabulate_meters(network, meters), network.n_nodes
+    other = 0 if table.other is None else table.other + 1
+    place = (other * (len(network.table.active) + 2) + table.branch - NO_BRANCH) * n + table.node
+    number: np.ndarray = place * len(KINDS) + table.kind
     return number
 
 
@@ -165,7 +179,14 @@ def tabulate_meters(network: Network, meters: Sequence[Meter]) -> MeterTable:
         return MeterTable(table, columns["kind"], table.rows.find(columns["bus"]), branch)
     bus = np.array([meter.bus for meter in meters], dtype=np.int64)
     branch = rows_of_texts(network.active_branch_ids, [meter.branch for meter in meters])
-    return MeterTable(table, number_kinds(meters), table.rows.find(bus), branch)
+    phases = None if table.nodes.is_balanced else _number_phases(meters)
+    return MeterTable(table, number_kinds(meters), table.rows.find(bus), branch, phases)
+
+
+def _number_phases(meters: Sequence[Meter]) -> np.ndarray:
+    """The places in PHASES of the one or two phases of each meter, (2, n_meas), UNKNOWN without."""
+    numbers = [[PHASES.index(phase) for phase in list_phases(meter.phases)] for meter in meters]
+    return np.array([[*found, UNKNOWN, UNKNOWN][:2] for found in numbers], dtype=np.int64).reshape(-1, 2).T
 
 
 def read_meters_of(readings: Sequence[Measurement]) -> Sequence[Meter]:

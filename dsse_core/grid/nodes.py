@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 PHASES = ("", "a", "b", "c", "s1", "s2")  # "": all three of a balanced network; s1, s2 of split-phase secondaries
+PHASE = "[abc]|s[12]"
 PHASE_ANGLE = np.radians([0.0, 0.0, -120.0, 120.0, 0.0, 180.0])  # of each phase at a substation of angle 0
 BALANCED = 1  # set of phases, a bit for each: that of a balanced bus
 _BIT = 1 << np.arange(len(PHASES))
@@ -27,7 +28,7 @@ def read_phases(texts: Iterable[str]) -> np.ndarray:
 
 def list_phases(text: str) -> list[str]:
     """The phases of a text, such as ["a", "b"] of "ab", in its order; [""] of ""; empty where it is none."""
-    found = re.findall("[abc]|s[12]", text)
+    found = re.findall(PHASE, text)
     return ([""] if not text else found) if "".join(found) == text else []
 
 

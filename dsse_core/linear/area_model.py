@@ -92,16 +92,20 @@ def build_area_model(
     """
     network = area.network
     admittance = build_admittance(network, with_shunts=with_shunts)
-    powers: dict[tuple[MeasurementKind, int], list[int]] = {}
+    powers: dict[tuple[MeasurementKind, int, str], list[int]] = {}
     for k, power in enumerate(area.powers_into_children):
-        powers.setdefault((INJECTION[power.kind], power.bus), []).append(k)
-    counted = [(row, k) for row, m in enumerate(measurements) for k in powers.get((m.meter.kind, m.meter.bus), ())]
+        powers.setdefault((INJECTION[power.kind], power.bus, power.phase), []).append(k)
+    counted = [
+        (row, k)
+        for row, m in enumerate(measurements)
+        for k in powers.get((m.meter.kind, m.meter.bus, m.meter.phases), ())
+    ]
     rows, columns = zip(*counted, strict=True) if counted else ((), ())
     shape = (len(measurements), len(area.powers_into_children))
     size = 2 * network.n_nodes + shape[1]
     fixed = NO_ROWS if reference is None else network.nodes_at(reference)
     to_parent = area.boundaries[area.parent.area].variables if area.parent else ()
-    at_parent = [Meter(INJECTION[v.kind], v.bus) for v in to_parent if v.kind in INJECTION]
+    at_parent = [Meter(INJECTION[v.kind], v.bus, phases=v.phase) for v in to_parent if v.kind in INJECTION]
     return AreaModel(
         area=area,
         model=build_measurement_model(network, admittance, [m.meter for m in measurements]),

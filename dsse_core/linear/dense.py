@@ -84,10 +84,12 @@ class DenseRows(Rows):
         n, computed = self._n, slice(len(self._y))
         vm, phase = x[n : 2 * n], np.exp(1j * x[:n])
         v = vm * phase
-        u, i = v[self._rows.node], self._y @ v
+        u, i = self._rows.find_voltages(v), self._y @ v
         of_u, of_i = self._rows.weigh(u, i)
         along = of_i[:, None] * self._y  # see MeasurementModel.linearize
         along[self._each, self._rows.node] += of_u
+        if (other := self._rows.other) is not None:
+            along[self._each[other >= 0], other[other >= 0]] -= of_u[other >= 0]
         along *= phase
         self._own, self._H = self._rows.read(u, i), self._H.copy()
         self._H[computed, :n], self._H[computed, n : 2 * n] = along.imag * -vm, along.real

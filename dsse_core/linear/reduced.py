@@ -256,28 +256,30 @@ class _Order:
     """
 
     def __init__(self, model: AreaMeasurements) -> None:
-        area, n_bus = model.area, len(model.area.network.buses)
-        buses = area.boundary_buses or (area.entry_bus,)
-        of_bus = {bus.id: (n_bus + row, row) for row, bus in enumerate(area.network.buses)}
-        free, kept = set(model.free.tolist()), buses if len(buses) > 1 else ()
-        next_to_parent = {end for bus in area.not_owned for end in _find_next_to(area, bus)} - {*buses}
-        at_boundaries = list(range(2 * n_bus, model.size))
-        at_boundaries += [k for bus in (*kept, *sorted(next_to_parent)) for k in of_bus[bus] if k in free]
-        apart = {*at_boundaries, *(k for bus in buses for k in of_bus[bus])}
+        area, n_nodes, nodes_at = model.area, model.n_nodes, model.area.network.nodes_at
+        of_node = [(n_nodes + node, node) for node in range(n_nodes)]
+        shared = {n.area: model.voltage_columns(n)[1::2] for n in area.neighbours}  # nodes of each boundary
+        nodes = tuple(dict.fromkeys(node for n in shared.values() for node in n)) or (int(nodes_at(area.entry_bus)[0]),)
+        free, kept = set(model.free.tolist()), nodes if len(nodes) > 1 else ()
+        next_to_parent = {end for bus in area.not_owned for end in _find_next_to(area, bus)} - {*area.boundary_buses}
+        at_boundaries = list(range(2 * n_nodes, model.size))
+        beside = [node for bus in sorted(next_to_parent) for node in nodes_at(bus).tolist()]
+        at_boundaries += [k for node in (*kept, *beside) for k in of_node[node] if k in free]
+        apart = {*at_boundaries, *(k for node in nodes for k in of_node[node])}
         within = [k for k in model.free.tolist() if k not in apart]
         self.n_within, self.n_boundary = len(within), len(at_boundaries) + 2
         self.read = np.array([*within, *at_boundaries], dtype=int)
         self.size = self.n_within + self.n_boundary
-        self._is_turned = np.isin(np.arange(n_bus), model.free)
+        self._is_turned = np.isin(np.arange(n_nodes), model.free)
         place = {k: at for at, k in enumerate(at_boundaries)}
         growth, turn, residual = range(self.n_boundary - 2, self.n_boundary + 1)
 
-        def without(bus: int) -> list[int]:
-            """All columns but the voltage of ``bus``, for which shifts stand, and but the turn at the reference."""
-            out = {place.get(k) for k in of_bus[bus]} | (set() if of_bus[bus][1] in free else {turn})
+        def without(node: int) -> list[int]:
+            """All columns but the voltage of ``node``, for which shifts stand, and but the turn at the reference."""
+            out = {place.get(k) for k in of_node[node]} | (set() if node in free else {turn})
             return [k for k in range(self.n_boundary) if k not in out]
 
-        self.of_step = np.array([*without(buses[0]), residual])
+        self.of_step = np.array([*without(nodes[0]), residual])
         self.least_of_shifts = np.zeros((2, self.n_boundary + 1))
         self.least_of_shifts[[0, 1], [growth, turn]] = NOT_YET**0.5
         self.picks: dict[str, np.ndarray] = {}
@@ -288,8 +290,8 @@ class _Order:
             of_y = {first + k: place[column] for k, column in enumerate(columns) if column in place}
             self.picks[n.area] = pick = np.zeros((boundary.d, self.n_boundary + 1))
             pick[list(of_y), list(of_y.values())] = 1.0
-            pick[boundary.places[Kind.VA], turn] = [of_bus[bus][1] in free for bus in boundary.voltage_buses]
-            last = boundary.voltage_buses[-1]
+            pick[boundary.places[Kind.VA], turn] = [node in free for node in shared[n.area]]
+            last = shared[n.area][-1]
             of_y = {k: at for k, at in of_y.items() if at in without(last)}
             of_y |= {k: at for k, at in ((boundary.d - 2, growth), (boundary.d - 1, turn)) if at in without(last)}
             left = [first + k for k in without(last) if k not in of_y.values()]

@@ -20,7 +20,7 @@ from agents.protocol.quality import GOOD
 from coordinator.watch.observe.notes import BAD_DATA, Noted
 from coordinator.watch.observe.summary import Summary
 from coordinator.watch.observe.view import OVER_S, AreaView, View
-from dsse_core.grid.measurement import MeasurementKind
+from dsse_core.grid.measurement import MeasurementKind, read_meter_id
 from dsse_core.printable import listed, printable, shortened
 
 ALARM, WARNING = "alarm", "warning"
@@ -225,7 +225,6 @@ NAMES = {
     MeasurementKind.Q_FLOW: "reactive power meter",
     MeasurementKind.CURRENT: "ammeter",
 }
-METER = re.compile(r"(?P<kind>[a-z_]+)@(?P<bus>\d{1,15})(?::(?P<branch>.+))?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -631,19 +630,18 @@ def _describe_meters(meters: Sequence[str]) -> str:
 
 
 def _describe_meter(meter: str) -> str:
-    match = METER.fullmatch(meter)
-    if not match or match["kind"] not in NAMES:
+    if (read := read_meter_id(meter)) is None:
         return f"the meter {meter}"
-    branch = f" of branch {match['branch']}" if match["branch"] else ""
-    return f"the {NAMES[MeasurementKind(match['kind'])]}{branch} at bus {match['bus']} ({meter})"
+    branch = f" of branch {read.branch}" if read.branch else ""
+    return f"the {NAMES[read.kind]}{branch} at bus {read.at} ({meter})"
 
 
 def _find_places(meters: Iterable[str], buses: Iterable[int] = ()) -> dict[str, Any]:
     """``meters``, and the buses and branches where they are, by the form of their ids."""
     ids = tuple(meters)
-    found = [match for meter in ids if (match := METER.fullmatch(meter))]
-    at = {int(match["bus"]) for match in found if not match["branch"]}
-    branches = tuple(sorted({match["branch"] for match in found if match["branch"]}))
+    found = [meter for text in ids if (meter := read_meter_id(text))]
+    at = {meter.bus for meter in found if not meter.branch}
+    branches = tuple(sorted({meter.branch for meter in found if meter.branch}))
     return {"meters": ids, "buses": tuple(sorted({*buses, *at})), "branches": branches}
 
 

@@ -14,11 +14,11 @@ from functools import cached_property
 import numpy as np
 
 from dsse_core.grid.columns import Records, find_distinct, rows_of_texts
-from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
+from dsse_core.grid.measurement import LONGEST_BUS, Measurement, MeasurementKind, Meter
 from dsse_core.grid.meter_table import KINDS, each_fits, make_meters, number_meters
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
-from scenarios.files.readings.rows import LONGEST_BUS, ReadingRows
+from scenarios.files.readings.rows import ReadingRows
 from scenarios.files.readings.units import RANGES, UNITS, sizes_of
 
 UNKNOWN = -1

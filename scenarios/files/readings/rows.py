@@ -7,14 +7,19 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from dsse_core.files.wording import Suggestions, suggest
-from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, find_meter_problems
+from dsse_core.grid.measurement import (
+    KIND_OF,
+    Measurement,
+    MeasurementKind,
+    Meter,
+    find_meter_problems,
+    read_meter_id,
+)
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
 from scenarios.files.readings.units import RANGES, UNITS, unit_size
 
 KIND = MeasurementKind
-KIND_OF = {str(kind): kind for kind in KIND}
-LONGEST_BUS = 18  # digits
 SCAN = "scan"
 OTHER_SEPARATORS = ";\t|"
 
@@ -119,16 +124,14 @@ class ReadingRows:
 
 def parse_meter(text: str, meant: Suggestions | None = None) -> Meter | str:
     """The meter with id ``text``, e.g. ``p_flow@3:3-4``; a problem as text for no id. ``meant``: of many such ids."""
-    kind_name, at, place = text.partition("@")
-    bus, _, branch = place.partition(":")
-    kind = KIND_OF.get(kind_name)
-    if not at or kind is None or not bus.isdecimal() or len(bus) > LONGEST_BUS:
-        close = (meant or Suggestions(list(KIND_OF))).find(kind_name) if kind is None else ""
-        return (
-            f"{text!r:.80} is no meter id; one looks like vm@1, p_injection@4 or p_flow@3:3-4 "
-            f"(KIND@BUS or KIND@BUS:BRANCH, kinds: {', '.join(KIND_OF)}){close}"
-        )
-    return Meter(kind, int(bus), branch or None)
+    if (meter := read_meter_id(text)) is not None:
+        return meter
+    kind_name = text.partition("@")[0]
+    close = "" if kind_name in KIND_OF else (meant or Suggestions(list(KIND_OF))).find(kind_name)
+    return (
+        f"{text!r:.80} is no meter id; one looks like vm@1, p_injection@4 or p_flow@3:3-4 "
+        f"(KIND@BUS or KIND@BUS:BRANCH, kinds: {', '.join(KIND_OF)}){close}"
+    )
 
 
 def _find_value_problems(meter: Meter, value: float, sigma: float, base_mva: float) -> Iterable[str]:

@@ -7,10 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dsse_core.errors import InvalidInputError
+from dsse_core.errors import InvalidInputError, NotObservableError
+from dsse_core.estimation.estimator import estimate_state
 from dsse_core.grid.admittance import build_admittance, flat_start
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, read_meter_id
+from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.grid.nodes import Primitive
+from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 Z = np.array([[0.0346 + 0.1018j, 0.0156 + 0.0502j, 0.0158 + 0.0424j]] * 3)  # of ieee13's configuration 601, p.u.
 Z = np.triu(Z, 1) + np.triu(Z, 1).T + np.diag([0.0346 + 0.1018j, 0.0337 + 0.1048j, 0.0341 + 0.1035j])
@@ -81,3 +86,109 @@ def test_phases_that_do_not_fit_are_refused_by_name(feeder: Network, phases: str
     branch = coupled_line("632-645", (632, 645), line) if line else replace(feeder.branches[1], primitive=None)
     with pytest.raises(InvalidInputError, match=problem):
         replace(feeder, buses=(*feeder.buses[:2], bus), branches=(feeder.branches[0], branch))
+
+
+KIND = MeasurementKind
+
+
+def every_meter(network: Network) -> list[Meter]:
+    """Meters of all kinds at every node, between phases, and at every port."""
+    at_nodes = (KIND.VM, KIND.VA, KIND.P_INJECTION, KIND.Q_INJECTION)
+    meters = [Meter(kind, bus.id, phases=phase) for bus in network.buses for phase in bus.phases for kind in at_nodes]
+    meters += [
+        Meter(kind, bus.id, phases="bc") for bus in network.buses for kind in (KIND.VM, KIND.VA, KIND.P_INJECTION)
+    ]
+    flows = (KIND.P_FLOW, KIND.Q_FLOW, KIND.CURRENT)
+    for branch in network.branches:
+        assert branch.primitive is not None
+        ends = ((branch.from_bus, branch.primitive.from_phases), (branch.to_bus, branch.primitive.to_phases))
+        meters += [Meter(kind, bus, branch.id, phases=p) for bus, phases in ends for p in phases for kind in flows]
+    return meters
+
+
+@pytest.fixture
+def state(feeder: Network) -> np.ndarray:
+    """An unbalanced state x = [va; vm] under load; the angles at the source are those of the flat start."""
+    vm, va = flat_start(feeder, 650)
+    drop = np.array([0, 0, 0, 0.02, 0.03, 0.015, 0.04, 0.02])
+    return np.r_[va - drop * [1, 1, 1, 1, -0.5, 0.7, 0.9, 0.6], vm - drop]
+
+
+def test_meters_of_phases_have_the_derivatives_of_their_readings(feeder: Network, state: np.ndarray) -> None:
+    model = build_measurement_model(feeder, build_admittance(feeder), every_meter(feeder))
+    step = 1e-6 * np.eye(len(state))
+    numeric = np.transpose([model.subtract(model.predict(state + d), model.predict(state - d)) / 2e-6 for d in step])
+    assert model.jacobian(state).toarray() == pytest.approx(numeric, abs=2e-7)
+
+
+def test_meters_of_phases_read_what_the_circuit_has(feeder: Network, state: np.ndarray) -> None:
+    v, stacked = state[8:] * np.exp(1j * state[:8]), build_admittance(feeder).stacked
+    meters = [Meter(KIND.VM, 645, phases="bc"), Meter(KIND.P_INJECTION, 632, phases="ab")]
+    meters += [Meter(KIND.Q_FLOW, 645, "632-645", phases="c"), Meter(KIND.CURRENT, 650, "650-632", phases="b")]
+    b, c = feeder.node(645, "b"), feeder.node(645, "c")
+    i = stacked @ v
+    power = (v[3] - v[4]) * i[3].conj(), v[c] * i[8 + 9].conj()
+    expected = [abs(v[b] - v[c]), power[0].real, power[1].imag, abs(i[8 + 1])]
+    read = build_measurement_model(feeder, build_admittance(feeder), meters).predict(state)
+    assert read == pytest.approx(expected, rel=1e-12)
+
+
+def test_exact_readings_of_phases_give_back_the_state_in_the_centre(feeder: Network, state: np.ndarray) -> None:
+    at_nodes = (KIND.VM, KIND.P_INJECTION, KIND.Q_INJECTION)
+    meters = [Meter(kind, bus.id, phases=phase) for bus in feeder.buses for phase in bus.phases for kind in at_nodes]
+    meters += [Meter(KIND.P_FLOW, 632, "632-645", phases="b"), Meter(KIND.VM, 645, phases="bc")]
+    meters += [Meter(KIND.CURRENT, 650, "650-632", phases="a")]
+    model = build_measurement_model(feeder, build_admittance(feeder), meters)
+    readings = [Measurement(m, z, 0.01) for m, z in zip(meters, model.predict(state).tolist(), strict=True)]
+    found = estimate_state(feeder, readings)
+    assert found.backend == "sparse"
+    assert found.degrees_of_freedom == len(meters) - (2 * 8 - 3)
+    assert np.r_[found.va, found.vm] == pytest.approx(state, abs=1e-10)
+    sigma_vm, sigma_va = found.state_sigma()
+    assert (sigma_vm > 0).all()
+    assert (sigma_va > 0).tolist() == [False] * 3 + [True] * 5
+    H, held = model.jacobian(state).toarray(), np.arange(16) >= 3
+    covariance = np.linalg.inv(H[:, held].T @ H[:, held] / 0.01**2)
+    assert np.r_[sigma_va[3:], sigma_vm] == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-6)
+
+
+def test_an_unmetered_phase_is_named_with_its_bus_and_a_cure(feeder: Network) -> None:
+    seen = [m for m in every_meter(feeder) if m.branch == "650-632" or m.id in ("vm@645.b", "va@645.b")]
+    seen += [Meter(KIND.VM, 650, phases=phase) for phase in "abc"]
+    cure = r"P and Q flow of branch 632-645 at bus 632\.b"
+    with pytest.raises(NotObservableError, match=rf"the state of bus 645\.c; .*{cure}"):
+        estimate_state(feeder, [Measurement(m, 1.0, 0.01) for m in seen])
+
+
+@pytest.mark.parametrize(
+    ("meter", "problem"),
+    [
+        (Meter(KIND.VM, 645), "vm@645: name one phase, or two of bus 645, which has b, c"),
+        (Meter(KIND.VM, 645, phases="a"), r"vm@645\.a: phase a is not there, only b, c"),
+        (Meter(KIND.P_FLOW, 632, "632-645", phases="a"), r"p_flow@632\.a:632-645: phase a is not there, only b, c"),
+        (Meter(KIND.P_FLOW, 632, "632-645", phases="bc"), "name one phase of bus 632"),
+    ],
+)
+def test_a_meter_on_phases_that_are_not_there_is_refused_by_name(feeder: Network, meter: Meter, problem: str) -> None:
+    with pytest.raises(InvalidInputError, match=problem):
+        estimate_state(feeder, [Measurement(meter, 1.0, 0.01)])
+
+
+def test_power_flow_areas_and_the_compiled_tree_decline_phases_by_name(feeder: Network) -> None:
+    for call in (lambda: solve_power_flow(feeder), lambda: build_partition(feeder, {"all": [650, 632, 645]})):
+        with pytest.raises(InvalidInputError, match=r"its buses have phases; .* needs a balanced one"):
+            call()
+    with pytest.raises(InvalidInputError, match="the radial back end cannot serve: buses have phases"):
+        estimate_state(feeder, [], backend="radial")
+
+
+@pytest.mark.parametrize("text", ["vm@645.b", "va@645.bc", "p_flow@632.s1:632-645", "q_injection@4", "current@3:3.a-6"])
+def test_an_id_is_read_as_it_is_written(text: str) -> None:
+    meter = read_meter_id(text)
+    assert meter is not None
+    assert meter.id == text
+
+
+@pytest.mark.parametrize("text", ["vm@", "vm@645.", "vm@645.d", "vm@x", "volt@1", "vm", "vm@1.a.b"])
+def test_what_is_no_id_is_no_meter(text: str) -> None:
+    assert read_meter_id(text) is None
