@@ -37,29 +37,21 @@ def build_admittance(network: Network, *, with_shunts: bool = True) -> Admittanc
     ``with_shunts=False`` leaves out bus shunts and charging, all that draws current without load. The shunt of a bus
     with phases stands at each of them.
     """
-    table = network.table
-    n, node, own = len(table.nodes), table.port_node, np.arange(len(table.nodes))
-    y, row, column = _find_primitives(table, with_shunts)
+    table, n = network.table, network.n_nodes
+    y = _find_primitives(table, with_shunts)
     shunt = (table.shunt * with_shunts)[table.nodes.item]
-    entries = np.concatenate([y, shunt, y])
-    rows, columns = np.concatenate([node[row], own, n + row]), np.concatenate([node[column], own, node[column]])
-    return Admittance(sp.coo_array((entries, (rows, columns)), shape=(n + len(node), n)).tocsr())
+    return Admittance(
+        sp.coo_array((np.concatenate([y, shunt, y]), table.of_stacked), shape=(n + len(table.ports), n)).tocsr()
+    )
 
 
-def _find_primitives(table: NetworkTable, with_shunts: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The entries of Yp of the branches in service, and the ports of their rows and columns, (nnz,) each."""
+def _find_primitives(table: NetworkTable, with_shunts: bool) -> np.ndarray:
+    """The entries of Yp of the branches in service, (nnz,), in the order of ``NetworkTable.of_stacked``."""
     if table.nodes.is_balanced:
-        at_from, at_to = np.arange(2 * len(table.active)).reshape(2, -1)
-        y = np.concatenate(find_two_ports(table, table.active, with_shunts))
-        return y, np.concatenate([at_from, at_from, at_to, at_to]), np.concatenate([at_from, at_to, at_from, at_to])
-    entries, rows, columns = [np.zeros(0)], [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
-    for k, branch in enumerate(table.active.tolist()):
-        primitive = table.primitives[branch]
-        ports = np.concatenate([table.ports.at(k), table.ports.at(len(table.active) + k)])
-        entries.append((primitive.y if with_shunts else primitive.y - primitive.charging).ravel())
-        rows.append(np.repeat(ports, len(ports)))
-        columns.append(np.tile(ports, len(ports)))
-    return np.concatenate(entries), np.concatenate(rows), np.concatenate(columns)
+        return np.concatenate(find_two_ports(table, table.active, with_shunts))
+    primitives = [table.primitives[branch] for branch in table.active.tolist()]
+    matrices = [(p.y if with_shunts else p.y - p.charging).ravel() for p in primitives]
+    return np.concatenate([np.zeros(0), *matrices])
 
 
 def find_two_ports(

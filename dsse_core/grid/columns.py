@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
 from inspect import signature
 from itertools import pairwise
+from operator import attrgetter
 from typing import Any, Generic, TypeVar, overload
 
 import numpy as np
@@ -113,7 +114,7 @@ def read_given(items: Sequence[Any], name: str) -> Iterable[Any]:
     if isinstance(items, Records):
         given: Iterable[Any] = items.columns.get(name, ())
         return given
-    return (getattr(item, name) for item in items)
+    return map(attrgetter(name), items)
 
 
 class Rows:

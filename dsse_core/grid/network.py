@@ -158,7 +158,10 @@ class Network:
 
     def node(self, bus: int, phase: str = "") -> int:
         """The row of a node, by its bus and phase; -1 where the bus lacks the phase."""
-        return int(self.table.nodes.find(np.array([self.row[bus]]), PHASES.index(phase))[0])
+        row, nodes = self.row[bus], self.table.nodes
+        if nodes.is_balanced:
+            return -1 if phase else row
+        return int(nodes.find(np.array([row]), PHASES.index(phase))[0])
 
     def nodes_at(self, bus: int) -> np.ndarray:
         """The rows of the nodes of a bus."""

@@ -60,6 +60,24 @@ class NetworkTable:
         return self.nodes.find(bus, self.ports.phase)
 
     @cached_property
+    def of_stacked(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns of the entries of stacked admittances: branches at nodes, shunts, branches at ports.
+
+        Entries of branches stand matrix by matrix, of balanced ones those of all yff, yft, ytf, ytt.
+        """
+        node, own, ends = self.port_node, np.arange(len(self.nodes)), len(self.active)
+        if self.nodes.is_balanced:
+            f, t = np.arange(2 * ends).reshape(2, -1)
+            row, column = np.concatenate([f, f, t, t]), np.concatenate([f, t, f, t])
+        else:
+            ports = [np.concatenate([self.ports.at(k), self.ports.at(ends + k)]) for k in range(ends)]
+            nothing = own[:0]
+            row = np.concatenate([nothing, *(np.repeat(of_branch, len(of_branch)) for of_branch in ports)])
+            column = np.concatenate([nothing, *(np.tile(of_branch, len(of_branch)) for of_branch in ports)])
+        at = node[column]
+        return np.concatenate([node[row], own, len(own) + row]), np.concatenate([at, own, at])
+
+    @cached_property
     def rows(self) -> Rows:
         return Rows(self.bus_id)
 
@@ -154,8 +172,13 @@ def tabulate(buses: Sequence[Any], branches: Sequence[Any]) -> NetworkTable:
         shift=read_column(branches, "shift", float),
         in_service=read_column(branches, "in_service", bool),
         phases=_read_phases(buses),
-        primitives={k: p for k, p in enumerate(read_given(branches, "primitive")) if p is not None},
+        primitives=_read_primitives(branches),
     )
+
+
+def _read_primitives(branches: Sequence[Any]) -> dict[int, Primitive]:
+    found = tuple(read_given(branches, "primitive"))
+    return {k: primitive for k, primitive in enumerate(found) if primitive} if any(found) else {}
 
 
 def _read_phases(buses: Sequence[Any]) -> np.ndarray:
