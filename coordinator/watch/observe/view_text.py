@@ -72,12 +72,15 @@ def fit_view(
 ) -> list[tuple[str, str]]:
     """Lines and their styles, ``height`` at most: causes, areas, and as many rows of ``tables`` as fit.
 
-    Where not all areas fit, those of the worst quality come first.
+    Where not all fits, the first cause stands alone, and areas of the worst quality come first.
     """
     beside = 3  # lines of a table beside its rows: an empty one, the heading, the number of rows left out
     room = height - len(tables) * (LEAST_ROWS + beside)
-    first = list(_write_causes(causes, width))
-    lines = [*first, *_write_view(view, width, summary)]
+    of_view = list(_write_view(view, width, summary))
+    lines = [*_write_causes(causes, width), *of_view]
+    if len(lines) > room:
+        first = [(line, "bold red") for cause in causes[:1] for line in _wrap(str(cause), width)]
+        lines = [*first, *of_view]
     if len(lines) > room:
         shown = max(1, room - 1)
         rank = {quality: -k for k, quality in enumerate(QUALITIES)}

@@ -18,6 +18,7 @@ from consensus_dsse import simulate
 from coordinator.watch.observe.causes import KINDS, WORDS, Onsets, find_causes, write_lines
 from coordinator.watch.observe.notes import read_notes
 from coordinator.watch.observe.view import View
+from coordinator.watch.observe.view_text import fit_view, format_view
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.split_identity import SplitIdentity, SplitUse
 from scenarios.files.shipped_files import find_shipped
@@ -75,6 +76,16 @@ def test_further_faults_have_one_root_cause_each(fault: str):
     feeder.bus.run(SEEN_AT_S)
     (cause,) = feeder.find_causes()
     assert str(cause).startswith(words)
+
+
+def test_the_first_cause_is_the_first_line_of_a_watcher_and_effects_give_way_in_a_low_terminal(tmp_path: Path):
+    feeder = run_with({"area killed": "area2"}, tmp_path)
+    view, causes = feeder.watcher.look(SEEN_AT_S), feeder.find_causes()
+    high, low = ([line for line, _ in fit_view(view, [], 80, height, causes)] for height in (40, 10))
+    assert [*map(str, causes)] == [high[0]] == [low[0]]
+    assert "  effects: area1, area3 are degraded" in high
+    assert low[1].startswith("run sim")
+    assert format_view(view, causes=causes).splitlines()[0] == high[0]
 
 
 def test_an_area_that_hangs_is_silent_and_its_neighbours_are_effects():
