@@ -27,7 +27,7 @@ class ToyEstimation:
     def __init__(self, area: Area) -> None:
         self.area = area
         self.failure = ""
-        self.removed = self.critical = self.dead_voltmeters = ()
+        self.removed = self.critical = self.dead_voltmeters = self.into_children = ()
         self.reported: set[str] = set()
         self.own_meters: frozenset[str] = frozenset()
         self.before_removal = None
