@@ -18,6 +18,7 @@ import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.columns import Records, read_given
+from dsse_core.grid.loads import Legs, Load, find_nominal
 from dsse_core.grid.network_table import NetworkTable, tabulate
 from dsse_core.grid.nodes import PHASES, Primitive, list_phases, read_phases
 
@@ -116,6 +117,7 @@ class Network:
     buses: Sequence[Bus]
     branches: Sequence[Branch]
     generators: tuple[Generator, ...] = ()
+    loads: tuple[Load, ...] = ()  # of buses with phases, whose ``p_load`` and ``q_load`` are 0
 
     def __post_init__(self) -> None:
         if problems := list(_find_problems(self)):
@@ -203,16 +205,36 @@ class Network:
         return {branch.id: branch for branch in self.branches}
 
     @cached_property
+    def legs(self) -> Legs:
+        """The legs of all loads; of a balanced network one for each bus."""
+        if self.table.nodes.is_balanced:
+            node = np.arange(self.n_nodes)
+            return Legs(node, np.full(len(node), -1), self.table.load, np.zeros((len(node), 2)))
+        ends = [[self.node(load.bus, phase) for phase in list_phases(load.phases)] for load in self.loads]
+        node, other = np.array([[*of_leg, -1][:2] for of_leg in ends], dtype=np.int64).reshape(-1, 2).T
+        s = np.array([load.s for load in self.loads], dtype=complex)
+        return Legs(node, other, s, np.array([load.exponents for load in self.loads], dtype=float).reshape(-1, 2))
+
+    @cached_property
     def scheduled(self) -> np.ndarray:
-        """Scheduled generation minus load of all buses, complex, p.u., (n_bus,); shunts do not count."""
-        produced = np.zeros(len(self.table.bus_id), dtype=complex)
+        """Scheduled generation minus load at nominal voltage, of all nodes, complex, p.u., (n_nodes,), without shunts.
+
+        A generator produces at each phase of its bus.
+        """
+        produced, legs = np.zeros(self.n_nodes, dtype=complex), self.legs
         for generator in self.generators:
-            produced[self.row[generator.bus]] += complex(generator.p, generator.q)
-        scheduled: np.ndarray = produced - self.table.load
+            produced[self.nodes_at(generator.bus)] += complex(generator.p, generator.q)
+        if self.table.nodes.is_balanced:
+            drawn = legs.s  # each at its node, and of constant power
+        else:
+            nominal = find_nominal(self.table.nodes)
+            drawn = legs.draw(nominal, nominal)
+        scheduled: np.ndarray = produced - drawn
         return scheduled
 
     def scheduled_injection(self, bus_id: int) -> complex:
-        """Scheduled generation minus load of a bus, p.u.; shunts do not count."""
+        """Scheduled generation minus load of a balanced bus, p.u.; shunts do not count."""
+        self.check_balanced("a schedule by bus")
         return complex(self.scheduled[self.row[bus_id]])
 
     def find_unreached_buses(self, start: int) -> tuple[int, ...]:
@@ -255,6 +277,7 @@ def _find_problems(network: Network) -> Iterable[str]:
     if not _is_possible(network):
         yield from _find_problems_of_buses_and_branches(network)
     yield from _find_problems_of_generators(network)
+    yield from _find_problems_of_loads(network)
 
 
 def _is_possible(network: Network) -> bool:
@@ -322,6 +345,22 @@ def _find_problems_of_phases(network: Network) -> Iterable[str]:
         for y in (primitive.y, primitive.charging):
             if y.shape != (ports, ports) or not np.isfinite(y).all():
                 yield f"branch {branch.id}: admittances over its {ports} ports are no finite {ports} x {ports} matrix"
+
+
+def _find_problems_of_loads(network: Network) -> Iterable[str]:
+    if not network.table.nodes.is_balanced:
+        stated = network.table.bus_id[network.table.load != 0].tolist()
+        yield from (f"bus {bus} has phases, and a load of its own; state the load by its legs" for bus in stated)
+    for load in network.loads:
+        row, wanted = network.table.rows.row_of(load.bus), list_phases(load.phases)
+        there = network.buses[row].phases if row >= 0 else ""
+        if not there:
+            yield f"a load with phases {load.phases} stands at bus {load.bus}, which has none"
+        elif len(wanted) not in (1, 2) or len(set(wanted)) < len(wanted) or not {*wanted} <= {*list_phases(there)}:
+            known = ", ".join(list_phases(there))
+            yield f"a load at bus {load.bus}: phases is {load.phases!r}; name one or two of {known}"
+        if not np.isfinite([load.s, *load.exponents]).all():
+            yield f"a load at bus {load.bus}: s or an exponent is not a finite number"
 
 
 def _find_problems_of_generators(network: Network) -> Iterable[str]:

@@ -11,6 +11,7 @@ from dsse_core.errors import InvalidInputError, NotObservableError
 from dsse_core.estimation.estimator import estimate_state
 from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.division import build_partition
+from dsse_core.grid.loads import Load, find_nominal
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, read_meter_id
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
@@ -214,3 +215,38 @@ def test_voltages_of_opendss_carry_the_load_of_the_four_bus_feeder() -> None:
     model = build_measurement_model(network, build_admittance(network), meters)
     p, q = np.split(-model.predict(np.r_[np.radians(VA), VM]) * base / 3, 2)
     assert p + 1j * q == pytest.approx(np.full(3, 1.8 + 1.8j * np.tan(np.arccos(0.9))), rel=2e-4)
+
+
+def test_legs_draw_by_their_exponents_and_a_leg_between_phases_takes_its_current_from_both(feeder: Network) -> None:
+    loads = Load(632, "a", 0.3 + 0.1j), Load(632, "b", 0.2 + 0.1j, (1.0, 2.0)), Load(645, "bc", 0.3 + 0.2j, (2.0, 2.0))
+    network = replace(feeder, loads=loads)
+    rng = np.random.default_rng(5)
+    nominal = find_nominal(network.table.nodes)
+    v = nominal * (1 - 0.1 * rng.random(8)) * np.exp(0.1j * rng.random(8))
+    drawn = network.legs.draw(v, nominal)
+    assert drawn[:3] == pytest.approx(0)
+    size = abs(v[4])
+    assert drawn[3:6] == pytest.approx([0.3 + 0.1j, 0.2 * size + 0.1j * size**2, 0], rel=1e-12)
+    b, c = v[6], v[7]
+    assert drawn[6:].sum() == pytest.approx((0.3 + 0.2j) * abs(b - c) ** 2 / 3, rel=1e-12)
+    assert (drawn[6] / b + drawn[7] / c) == pytest.approx(0, abs=1e-12)
+    assert network.scheduled[3:6] == pytest.approx([-0.3 - 0.1j, -0.2 - 0.1j, 0], rel=1e-12)
+
+
+def test_the_load_of_a_balanced_bus_is_one_leg_of_constant_power(meshed: Network) -> None:
+    legs = meshed.legs
+    assert legs.s.tolist() == meshed.table.load.tolist()
+    assert legs.draw(0.9 * find_nominal(meshed.table.nodes), find_nominal(meshed.table.nodes)) == pytest.approx(legs.s)
+
+
+@pytest.mark.parametrize(
+    ("load", "problem"),
+    [
+        (Load(7, "a", 0.1), "a load with phases a stands at bus 7, which has none"),
+        (Load(645, "a", 0.1), "a load at bus 645: phases is 'a'; name one or two of b, c"),
+        (Load(632, "a", complex("nan")), "a load at bus 632: s or an exponent is not a finite number"),
+    ],
+)
+def test_a_load_that_does_not_fit_is_refused_by_name(feeder: Network, load: Load, problem: str) -> None:
+    with pytest.raises(InvalidInputError, match=problem):
+        replace(feeder, loads=(load,))
