@@ -20,6 +20,7 @@ from PIL import Image, ImageColor
 from agents.messages.keys import live_key
 from agents.messages.packing import ReadingsMessage, StateMessage
 from coordinator.show.web.sources import LiveSource
+from coordinator.watch.observe.causes import ALARM, WORDS
 from coordinator.watch.observe.grid_tables import GridTables
 from coordinator.watch.observe.watcher import Watcher
 from scenarios.files.saved_network import save_network
@@ -36,6 +37,7 @@ SHOWN_AT_S = 12.0  # of the simulation, when the page opens
 SETTLED_MS = 6000  # until histories and all parts of the page are there
 SIZE = {"width": 1280, "height": 900}
 COLOURS = 48  # of a picture, for small files
+WHOLE = "before => document.body.dataset.moment !== before"  # all parts of the page are of one moment
 RATING_MVA = 4.0  # of the first branch of the overloaded feeder
 
 
@@ -144,8 +146,9 @@ def main(names: Collection[str]) -> None:
                 page.goto(url)
                 page.wait_for_selector("#cause .what")
                 page.wait_for_timeout(SETTLED_MS)
-                if name == "sound":  # a scan without the odd residual above 3
-                    page.wait_for_selector("#glance:not(:has(.degraded))")
+                if fault and WORDS[FAULTS[fault].kind].severity == ALARM:
+                    page.wait_for_selector("#cause.bad")  # a fault of each scan is known once the scan is at its end
+                page.wait_for_function(WHOLE, arg=page.evaluate("document.body.dataset.moment"))
                 path = take_picture(page, name)
                 print(f"{path} {path.stat().st_size // 1000} kB: {page.locator('#cause .what').text_content()}")
         finally:

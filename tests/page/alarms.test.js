@@ -7,7 +7,7 @@ import { updateAlarms } from "./static/alarms.js";
 import { findSaid } from "./static/cause.js";
 import { findLasting } from "./static/events.js";
 
-const cause = (what, more = {}) => ({ kind: "gone", what, since: 3, action: "restart its agent", areas: ["a"], buses: [], branches: [], meters: [], effects: [], ...more });
+const cause = (what, more = {}) => ({ kind: "gone", severity: "alarm", scope: "data", remark: "The data.", what, since: 3, action: "restart its agent", areas: ["a"], buses: [], branches: [], meters: [], effects: [], ...more });
 
 test("an alarm that is over stays until somebody has acknowledged it, and one that comes back is new", () => {
   const first = updateAlarms([], [cause("a is gone")], 5, 1);
@@ -36,16 +36,21 @@ const moment = (causes, qualities) => ({
   causes, mode: "playback", at: 8, time: 8, summary: { voltage: { known: 20, total: 33 } }, view: { areas: Object.fromEntries(qualities.map((quality, k) => [k, { quality }])) },
 });
 
-test("the root cause is said first, then its effects, then further causes", () => {
-  const effects = ["b is degraded", "c is degraded", "d is degraded", "e is degraded", "f is degraded"];
-  const said = findSaid(moment([cause("a is gone", { effects }), cause("meter m is off", { since: null, action: "" })], ["stale"]));
+test("the root cause is said first, with its effects in one line, and further causes in a line each", () => {
+  const effects = ["b, c are degraded", "d is none"], meter = cause("meter m is off", { since: null, action: "" });
+  const said = findSaid(moment([cause("a is gone", { effects }), meter, meter, meter], ["stale"]));
   assert.deepEqual([said.state, said.what, said.action], ["bad", "✕ a is gone since 3 s", "→ restart its agent"]);
-  assert.deepEqual(said.effects, [...effects.slice(0, 4), "1 more effects"]);
-  assert.deepEqual(said.further, ["Also: meter m is off"]);
+  assert.equal(said.remark, "The data. Effects: b, c are degraded, d is none.");
+  assert.deepEqual(said.further, ["Also: meter m is off", "Also: meter m is off; and 1 more"]);
+});
+
+test("a warning is amber, and a limit is exceeded at least since it was seen", () => {
+  const said = findSaid(moment([cause("a line is at 112 %", { severity: "warning", scope: "grid" })], ["good"]));
+  assert.deepEqual([said.state, said.what], ["degraded", "! a line is at 112 %, seen since 3 s"]);
 });
 
 test("without a cause a feeder is sound only if all its areas are good", () => {
-  assert.deepEqual(findSaid(moment([], ["good", "good"])), { state: "good", what: "✓ Nothing is wrong", action: "", effects: [], further: ["2 of 2 areas good, 20 of 33 buses known."] });
+  assert.deepEqual(findSaid(moment([], ["good", "good"])), { state: "good", what: "✓ Nothing is wrong", action: "", remark: "2 of 2 areas good, 20 of 33 buses known.", further: [] });
   assert.deepEqual([moment([], ["good", "none"]), moment([], [])].map((one) => findSaid(one).state), ["degraded", "degraded"]);
 });
 

@@ -16,7 +16,7 @@ const summary = {
   voltage: spread(6, at("5", 0.95), at("2", 1.01)), loading: spread(5, at("1-2", 3), at("2-3", 83.25)), current: spread(5, at("1-2", 1), at("2-3", 210)),
   residual: spread(2, at("m2", 1), at("m1", 2.5)), head: total(3926.5), loss: total(211.2, 5), load: total(3715.3, 6), generation: total(0, 6),
 };
-const area = (quality, removed = [], notes = []) => ({ quality, removed, notes, present: true, silent: false, estimated: true });
+const area = (quality, removed = [], notes = []) => ({ quality, removed, notes, present: true, silent: false, estimated: true, fresh: true });
 const moment = ({ of = {}, ...more } = {}) => ({
   causes: [], summary: { ...summary, ...of }, meter_counts: { used: 2 },
   meters: { meter: ["m1", "m9"], reading: [100, 55.5], estimate: [98.75, 20], unit: ["kw", "kw"] },
@@ -52,6 +52,8 @@ test("what is not known now is not called good, and is counted", () => {
   assert.deepEqual([Voltage.state, Voltage.text], ["degraded", "Of 6 buses 4 known, within 0.9 to 1.1 p.u."]);
   assert.equal(Power.text, "load: 12.0 kW (4 of 6 buses)\nlosses: 211.2 kW");
   assert.equal(tilesOf({ of: { voltage: spread(6, null, null, { known: 0 }) } }).Voltage.text, "Of 6 buses 0 known.");
+  const nothing = spread(6, null, null, { known: 0 }), dark = tilesOf({ of: { voltage: nothing, loading: nothing, residual: nothing, head: total(null, 0, 1), load: total(null, 0, 1), loss: total(null, 0, 1) } });
+  assert.deepEqual(["Voltage", "Loading", "Meters", "Power"].map((title) => dark[title].state), ["unknown", "unknown", "unknown", "unknown"]);
   assert.equal(tilesOf({ of: { loading: spread(0, null, null) } }).Loading.text, "No branch has a rating; the largest current:");
 });
 
@@ -59,18 +61,38 @@ test("a number of an area that is not good says so", () => {
   const { Voltage, Loading } = tilesOf({ view: { areas: { a: area("good"), b: area("degraded") } } });
   assert.deepEqual(Voltage.offers.map(({ label }) => label), ["5: 0.9500 (degraded)", "2: 1.0100"]);
   assert.equal(Loading.offers[0].label, "2-3: 83.3 % (degraded)");
+  assert.deepEqual([Voltage.state, Voltage.text, Loading.state], ["degraded", "All 6 buses within 0.9 to 1.1 p.u.; 3 not of good areas", "degraded"]);
 });
 
 test("removed meters are named with reading and estimate", () => {
   const { Meters } = tilesOf({ meter_counts: { used: 2, removed: 1, silent: 3 }, view: { areas: { a: area("good", ["m9"]) } } });
-  assert.deepEqual([Meters.state, Meters.text], ["bad", "1 removed, 3 silent. Largest normalised residual 2.50 of 3."]);
+  assert.deepEqual([Meters.state, Meters.text], ["degraded", "1 removed, 3 silent. Largest normalised residual 2.50 of 3."]);
   assert.deepEqual(Meters.offers.map(({ label }) => label), ["m9 is removed, reads 55.50 kW, estimated 20.00", "m1, reads 100.00 kW, estimated 98.75"]);
+});
+
+test("a residual above its limit is no fault while all readings together agree", () => {
+  const residual = spread(2, at("m2", 1), at("m1", 3.57), { outside: 1, worst: [at("m1", 3.57)] }), degraded = { a: area("degraded"), b: area("good") };
+  const [sound, poor] = [tilesOf({ of: { residual } }), tilesOf({ of: { residual }, view: { areas: degraded } })].map((tiles) => tiles.Meters);
+  assert.deepEqual([sound.state, sound.text], ["good", "Largest normalised residual 3.57 of 3, by chance."]);
+  assert.deepEqual([poor.state, poor.text], ["degraded", "Largest normalised residual 3.57 of 3."]);
+});
+
+test("links are amber where some work, and red where none does", () => {
+  const stateOf = (...alive) => tilesOf({ links: alive.map((is, k) => ({ from: "ab"[k], to: "ba"[k], alive: is })) }).Links.state;
+  assert.deepEqual([stateOf(true, true), stateOf(true, false), stateOf(false, false)], ["good", "degraded", "bad"]);
+});
+
+test("areas that are not good are effects unless a cause names them, and those left out are counted", () => {
+  const causes = [{ kind: "gone", areas: ["a"], buses: [], branches: [], meters: [] }], areas = Object.fromEntries([..."abcde"].map((name) => [name, area(name === "a" ? "stale" : "degraded", [], ["behind a"])]));
+  const { Areas } = tilesOf({ causes, view: { areas } });
+  assert.equal(Areas.text, "5 of 5 not good; the worst 3, and 2 more.");
+  assert.deepEqual(Areas.offers.map(({ label }) => label), ["a: stale, at the cause", "b: degraded, an effect", "c: degraded, an effect"]);
 });
 
 test("a dead link is named, and areas that are not good with their reason, the worst first", () => {
   const links = [{ from: "a", to: "b", alive: true }, { from: "b", to: "a", alive: false }];
   const { Links, Areas } = tilesOf({ links, view: { areas: { a: area("degraded", [], ["neighbour c is gone"]), b: area("good"), c: area("stale", [], ["is gone"]) } } });
-  assert.deepEqual([Links.state, Links.text], ["bad", "1 of 2 directions work: nothing from b to a."]);
+  assert.deepEqual([Links.state, Links.text], ["degraded", "1 of 2 directions work: nothing from b to a."]);
   assert.deepEqual([Areas.state, Areas.text], ["bad", "2 of 3 not good."]);
   assert.deepEqual(Areas.offers.map(({ label }) => label), ["c: stale, is gone", "a: degraded, neighbour c is gone"]);
 });

@@ -192,7 +192,7 @@ REMARKS = {
     "grid": "The grid itself is beyond a limit.",
     "data": "The grid itself may be sound: the fault is in the data on it.",
 }
-SEEN = {"grid": "seen since", "data": "since"}  # the grid may have been beyond a limit before anybody has looked
+SEEN = {"grid": ", seen since", "data": " since"}  # the grid may have been beyond a limit before anybody has looked
 HARMLESS = (*OF_GRID, "undecided", "bad data", "unreadable", "impostor")
 """Kinds that leave the quality of states as it is: no state is worse because of them."""
 EXPLAINED = {
@@ -249,7 +249,7 @@ class Cause:
     effects: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        since = "" if self.since is None else f" {SEEN[self.scope]} {write_time(self.since)}"
+        since = "" if self.since is None else f"{SEEN[self.scope]} {write_time(self.since)}"
         return f"{self.what}{since}: {self.action}"
 
     @property

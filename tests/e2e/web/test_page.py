@@ -53,7 +53,7 @@ def test_a_bus_is_selected_an_area_dies_and_comes_back(shown: Shown):
         page.fill("#what", "3")
         page.keyboard.press("Enter")
         page.wait_for_selector("#facts >> text=voltage")
-        wait_until(lambda: "area1, area2" in page.locator("#facts").text_content())
+        wait_until(lambda: "shared with" in page.locator("#facts").text_content())
         page.wait_for_selector("#past canvas")
         keep_picture(page, "page-live")
         shown.system.end("area2", signal.SIGKILL)

@@ -1,13 +1,13 @@
 /** Causes that need a person: what is wrong now, and what is over but has not been acknowledged; kept in this browser. */
 
-import { PASSING } from "./cause.js";
+import { gradeOf, PASSING } from "./cause.js";
 import { byId, element, when } from "./format.js";
 
 /** @typedef {import("./types.js").Moment} Moment @typedef {import("./types.js").Cause} Cause */
-/** @typedef {{key: string, places: string[], what: string, since: number|null, over: number|null, acknowledged: boolean}} Alarm */
+/** @typedef {{key: string, places: string[], what: string, since: number|null, over: number|null, acknowledged: boolean, severity: string}} Alarm */
 
 const MOST_ALARMS = 200;
-const MOST_SHOWN = 30;
+const MOST_SHOWN = 3; // until somebody asks for all
 const LEAST_S = 2; // what is over sooner is no alarm any more
 const PLACE = "alarms"; // in what the browser keeps
 
@@ -38,7 +38,7 @@ export function updateAlarms(before, causes, at, least) {
     const over = alarm.over ?? at;
     return alarm.acknowledged || over - (alarm.since ?? at) < least ? [] : [{ ...alarm, over }];
   });
-  const fresh = [...now].map(([key, cause]) => ({ key, places: findPlaces(cause), what: cause.what, since: cause.since ?? at, over: null, acknowledged: false }));
+  const fresh = [...now].map(([key, cause]) => ({ key, places: findPlaces(cause), what: cause.what, severity: cause.severity, since: cause.since ?? at, over: null, acknowledged: false }));
   return [...fresh, ...kept].slice(0, MOST_ALARMS);
 }
 
@@ -57,6 +57,7 @@ export class Alarms {
     this.list = byId("alarms");
     /** @type {Alarm[]} */ this.alarms = [];
     this.shown = "";
+    this.hasAll = false; // on the screen
     /** @type {Moment | null} */ this.moment = null;
     byId("acknowledge-all").addEventListener("click", () => this.acknowledge(() => true));
   }
@@ -78,22 +79,35 @@ export class Alarms {
   /** @param {Alarm[]} alarms @param {Moment} moment */
   write(alarms, moment) {
     this.alarms = alarms;
-    const all = JSON.stringify({ run: moment.view.run, alarms });
-    if (all === this.shown) return;
-    this.shown = all;
+    const all = JSON.stringify({ run: moment.view.run, alarms }), shown = `${this.hasAll} ${all}`;
+    if (shown === this.shown) return;
+    this.shown = shown;
     try {
       if (moment.mode === "live") localStorage.setItem(PLACE, all);
     } catch {} // full, or not allowed: they are kept until the page is left
     const open = alarms.filter(({ acknowledged }) => !acknowledged).length;
     byId("alarms-note").textContent = alarms.length ? `${open} not acknowledged.` : "None.";
     byId("acknowledge-all").hidden = open === 0;
-    this.list.replaceChildren(...alarms.slice(0, MOST_SHOWN).map((alarm) => this.describe(alarm, moment)));
+    const ordered = [...alarms].sort((one, other) => Number(one.acknowledged) - Number(other.acknowledged)), more = this.hasAll ? 0 : alarms.length - MOST_SHOWN;
+    this.list.replaceChildren(...(more > 0 ? ordered.slice(0, MOST_SHOWN) : ordered).map((alarm) => this.describe(alarm, moment)), ...(more > 0 ? [this.offerAll(more)] : []));
+  }
+
+  /** @param {number} more @returns {HTMLElement} */
+  offerAll(more) {
+    const line = element("li"), button = /** @type {HTMLButtonElement} */ (element("button", `and ${more} more`));
+    button.type = "button";
+    button.addEventListener("click", () => {
+      this.hasAll = true;
+      if (this.moment) this.write(this.alarms, this.moment);
+    });
+    line.append(button);
+    return line;
   }
 
   /** @param {Alarm} alarm @param {Moment} moment @returns {HTMLElement} */
-  describe({ key, what, since, over, acknowledged }, moment) {
+  describe({ key, what, severity, since, over, acknowledged }, moment) {
     const began = since === null ? "" : `${when(moment, since)} `, ended = over === null ? "" : `, over since ${when(moment, over)}`;
-    const line = element("li", "", over === null ? "bad" : "over"), text = element("span", `${began}${what}${ended}`);
+    const line = element("li", "", over === null ? gradeOf({ severity }) : "over"), text = element("span", `${began}${what}${ended}`);
     line.append(text);
     if (acknowledged) {
       line.append(element("small", " acknowledged"));

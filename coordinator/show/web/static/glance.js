@@ -7,14 +7,15 @@ import { findDeadLinks } from "./links.js";
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Moment} Moment @typedef {import("./types.js").Choice} Choice */
 /** @typedef {import("./types.js").Spread} Spread @typedef {import("./types.js").Total} Total @typedef {import("./types.js").Extreme} Extreme */
 /** @typedef {{label: string, choice: Choice}} Offer what can be chosen, and what its button says */
-/** @typedef {"good"|"degraded"|"bad"|"none"} State none: nothing is said of it */
+/** @typedef {"good"|"degraded"|"bad"|"unknown"|"none"} State unknown: no value of now is known; none: nothing is judged */
 /** @typedef {{title: string, state: State, text: string, offers: Offer[]}} Tile */
 
 const MOST_OFFERS = 4; // of a tile
-const MOST_AREAS = 2; // with their reasons
+const MOST_AREAS = 3;
 const LONGEST_REASON = 60; // characters
-const SIGNS = { good: "✓", degraded: "!", bad: "✕", none: "" }; // beside the colour, for who does not see it
+const SIGNS = { good: "✓", degraded: "!", bad: "✕", unknown: "?", none: "" }; // beside the colour, for who does not see it
 const REJECTED = ["removed", "silent", "off"]; // meters that are not used
+const OF_METERS = ["map", "many removed", "contradictory"]; // kinds of alarms about meters
 
 /** @param {number} count @param {string} noun @returns {string} */
 function counted(count, noun) {
@@ -33,6 +34,24 @@ function offering({ view }, { buses, branches }, kind, column, unit = "") {
   };
 }
 
+/**
+ * Green only where all is known, of areas that are all good: one rule of all tiles with figures.
+ * @param {Moment} moment @param {{known: number, total: number}} of @returns {State}
+ */
+function judge({ view }, { known, total }) {
+  if (!known) return "unknown";
+  return known === total && Object.values(view.areas).every(({ quality }) => quality === "good") ? "good" : "degraded";
+}
+
+/** @param {Moment} moment @param {Grid} grid @returns {string} how many known buses are of areas that are not good */
+function countDoubtful({ view }, { buses }) {
+  const doubtful = buses.area.filter((name) => {
+    const area = entryOf(view.areas, name);
+    return area?.fresh && area.quality !== "good";
+  }).length;
+  return doubtful ? `; ${doubtful} not of good areas` : "";
+}
+
 /** @param {Spread | Total} of @param {string} noun @returns {string} */
 function knownOf({ known, total }, noun) {
   return `Of ${counted(total, noun)} ${known} known`;
@@ -42,13 +61,13 @@ function knownOf({ known, total }, noun) {
 function findVoltages(moment, grid) {
   const { summary: { voltage } } = moment, { operating_limits: { lowest_vm_pu: low, highest_vm_pu: high } } = grid;
   const title = "Voltage", limits = `${low} to ${high} p.u.`, offer = offering(moment, grid, "bus", "vm_pu"), isWhole = voltage.known === voltage.total && voltage.total > 0;
-  if (!voltage.known || !voltage.lowest || !voltage.highest) return { title, state: "degraded", text: `${knownOf(voltage, "bus")}.`, offers: [] };
+  if (!voltage.known || !voltage.lowest || !voltage.highest) return { title, state: "unknown", text: `${knownOf(voltage, "bus")}.`, offers: [] };
   if (voltage.outside) {
     const rest = isWhole ? "" : ` ${knownOf(voltage, "bus")}.`;
     return { title, state: "bad", text: `${counted(voltage.outside, "bus")} outside ${limits}${rest}`, offers: voltage.worst.slice(0, MOST_OFFERS).map(offer) };
   }
   const text = isWhole ? `All ${counted(voltage.total, "bus")} within ${limits}` : `${knownOf(voltage, "bus")}, within ${limits}`;
-  return { title, state: isWhole ? "good" : "degraded", text, offers: [offer(voltage.lowest), offer(voltage.highest)] };
+  return { title, state: judge(moment, voltage), text: text + countDoubtful(moment, grid), offers: [offer(voltage.lowest), offer(voltage.highest)] };
 }
 
 /** @param {Moment} moment @param {Grid} grid @returns {Tile} */
@@ -56,16 +75,16 @@ function findLoadings(moment, grid) {
   const { summary: { loading, current } } = moment, { operating_limits: { most_loading_percent: most } } = grid;
   const title = "Loading", offer = offering(moment, grid, "branch", "loading_percent", " %"), strongest = current.highest ? [offering(moment, grid, "branch", "i_from_a", " A")(current.highest)] : [];
   if (!loading.total && !current.total) return { title, state: "none", text: "Without a scenario no current is known.", offers: [] };
-  if (!loading.total) return { title, state: "none", text: current.known ? "No branch has a rating; the largest current:" : "No current is known.", offers: strongest };
+  if (!loading.total) return { title, state: current.known ? "none" : "unknown", text: current.known ? "No branch has a rating; the largest current:" : "No current is known.", offers: strongest };
   const rest = loading.known === loading.total ? "" : ` ${knownOf(loading, "branch")}.`;
   if (loading.outside) return { title, state: "bad", text: `${counted(loading.outside, "branch")} above ${most} %.${rest}`, offers: [...loading.worst.slice(0, MOST_OFFERS - 1).map(offer), ...strongest] };
   const text = loading.known ? `At most ${fixed(loading.highest?.value, "loading_percent")} % of ${most} %.${rest}` : rest.trim();
-  return { title, state: rest ? "degraded" : "good", text, offers: [...(loading.highest ? [offer(loading.highest)] : []), ...strongest] };
+  return { title, state: judge(moment, loading), text, offers: [...(loading.highest ? [offer(loading.highest)] : []), ...strongest] };
 }
 
 /** @param {Moment} moment @param {Grid} grid @returns {Tile} */
-function findMeters({ meters, meter_counts: counts, view, summary: { residual } }, { operating_limits: { most_residual: most } }) {
-  const title = "Meters", removed = [...new Set(Object.values(view.areas).flatMap((area) => area.removed))];
+function findMeters(moment, { operating_limits: { most_residual: most } }) {
+  const { meters, meter_counts: counts, view, causes, summary: { residual } } = moment, title = "Meters", removed = [...new Set(Object.values(view.areas).flatMap((area) => area.removed))];
   const said = REJECTED.filter((status) => counts[status]).map((status) => `${counts[status]} ${status}`).join(", ");
   const readingOf = (/** @type {string} */ id) => {
     const k = meters.meter?.indexOf(id) ?? -1, unit = String(meters.unit?.[k] ?? "");
@@ -73,8 +92,11 @@ function findMeters({ meters, meter_counts: counts, view, summary: { residual } 
   };
   /** @type {Offer[]} */ const offers = removed.slice(0, MOST_OFFERS - 1).map((id) => ({ label: `${id} is removed${readingOf(id)}`, choice: { kind: "meter", id } }));
   if (residual.highest) offers.push({ label: `${residual.highest.at}${readingOf(residual.highest.at)}`, choice: { kind: "meter", id: residual.highest.at } });
-  const first = said ? `${said}. ` : "", text = residual.highest ? `${first}Largest normalised residual ${fixed(residual.highest.value, "normalised_residual")} of ${most}.` : `${first}No residual is known.`;
-  return { title, state: said ? "bad" : residual.outside || !residual.highest ? "degraded" : "good", text, offers };
+  const isSure = judge(moment, { known: 1, total: 1 }) === "good"; // then the readings pass the test of J together, and none is a suspect
+  const first = said ? `${said}. ` : "", chance = residual.outside && isSure ? ", by chance" : "";
+  const text = residual.highest ? `${first}Largest normalised residual ${fixed(residual.highest.value, "normalised_residual")} of ${most}${chance}.` : `${first}No residual is known.`;
+  const isAlarm = causes.some(({ kind }) => OF_METERS.includes(kind));
+  return { title, state: !residual.highest ? "unknown" : isAlarm ? "bad" : said || !isSure ? "degraded" : "good", text, offers };
 }
 
 /** @param {Moment} moment @returns {Tile} */
@@ -85,20 +107,24 @@ function findLinks(moment) {
   const words = dead.slice(0, MOST_OFFERS).map(({ text }) => text).join("; ");
   const rest = dead.length > MOST_OFFERS ? `; and ${dead.length - MOST_OFFERS} more` : "";
   const text = alive === links.length ? received : `${received}${words ? `: ${words}${rest}` : "; the others have not begun, or an area is gone"}.`;
-  return { title, state: dead.length ? "bad" : alive < links.length ? "degraded" : "good", text, offers: [] };
+  return { title, state: !alive ? "bad" : alive < links.length ? "degraded" : "good", text, offers: [] };
 }
 
 /** @param {Moment} moment @returns {Tile} */
-function findAreas({ view }) {
+function findAreas({ view, causes }) {
   const title = "Areas", areas = Object.entries(view.areas), rank = { bad: 0, degraded: 1, good: 2 };
   const classOf = (/** @type {string} */ quality) => /** @type {"good"|"degraded"|"bad"} */ (qualityClass(quality));
   const poor = areas.filter(([, area]) => area.quality !== "good")
     .sort(([, a], [, b]) => rank[classOf(a.quality)] - rank[classOf(b.quality)]);
+  const roleOf = (/** @type {string} */ id, /** @type {string[]} */ notes) => {
+    if (causes.length) return causes.some((cause) => cause.areas.includes(id)) ? ", at the cause" : ", an effect";
+    return notes[0] ? `, ${shorten(notes[0], LONGEST_REASON)}` : "";
+  };
   if (!areas.length) return { title, state: "bad", text: "Nobody is there.", offers: [] };
   if (!poor.length) return { title, state: "good", text: areas.length === 1 ? "The one area is good." : `All ${areas.length} are good.`, offers: [] };
   return {
-    title, state: classOf(poor[0][1].quality), text: `${poor.length} of ${areas.length} not good.`,
-    offers: poor.slice(0, MOST_AREAS).map(([id, area]) => ({ label: `${id}: ${area.quality}${area.notes[0] ? `, ${shorten(area.notes[0], LONGEST_REASON)}` : ""}`, choice: { kind: "area", id } })),
+    title, state: classOf(poor[0][1].quality), text: `${poor.length} of ${areas.length} not good${poor.length > MOST_AREAS ? `; the worst ${MOST_AREAS}, and ${poor.length - MOST_AREAS} more` : ""}.`,
+    offers: poor.slice(0, MOST_AREAS).map(([id, area]) => ({ label: `${id}: ${area.quality}${roleOf(id, area.notes)}`, choice: { kind: "area", id } })),
   };
 }
 
@@ -107,7 +133,7 @@ function findPowers({ summary: { head, load, generation, loss } }) {
   const title = "Power", say = (/** @type {string} */ name, /** @type {Total} */ { p_kw: p, known, total }, /** @type {string} */ noun) =>
     p === null ? [] : [`${name}: ${fixed(p, "p_kw")} kW${known < total ? ` (${known} of ${counted(total, noun)})` : ""}`];
   const words = [...say("head", head, "bus"), ...say("load", load, "bus"), ...(generation.p_kw ? say("generation", generation, "bus") : []), ...say("losses", loss, "branch")];
-  return { title, state: "none", text: words.length ? words.join("\n") : "No power is known.", offers: [] };
+  return { title, state: words.length ? "none" : "unknown", text: words.length ? words.join("\n") : "No power is known.", offers: [] };
 }
 
 /** @param {Moment} moment @param {Grid} grid @returns {Tile[]} */
@@ -119,12 +145,11 @@ export function findTiles(moment, grid) {
  * What is worst: the place of the first cause, else what is farthest beyond its limit, else the lowest voltage.
  * @param {Moment} moment @returns {Choice | null}
  */
-export function findWorst({ causes, summary: { voltage, loading, residual } }) {
+export function findWorst({ causes, summary: { voltage, loading } }) {
   const [place] = causes.length ? placesOf(causes[0]) : [];
   if (place) return { kind: place[0], id: place[1][0] };
   if (voltage.outside) return { kind: "bus", id: voltage.worst[0].at };
   if (loading.outside) return { kind: "branch", id: loading.worst[0].at };
-  if (residual.outside) return { kind: "meter", id: residual.worst[0].at };
   return voltage.lowest ? { kind: "bus", id: voltage.lowest.at } : null;
 }
 

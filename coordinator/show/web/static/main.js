@@ -55,7 +55,7 @@ function select(wanted) {
   tables.choice = wanted;
   selected.choose(wanted);
   histories.choose(wanted);
-  feeder.mark(wanted);
+  feeder.mark(isChosen ? wanted : null);
   byId("selected-title").textContent = isChosen ? "Selected" : "Selected: the worst";
 }
 
@@ -118,6 +118,12 @@ async function show(found) {
   document.body.dataset.moment = String(found.number); // all of it is shown
 }
 
+/** @param {import("./types.js").AreaView[]} areas @returns {string} whether anything arrives, in words */
+function findSilence(areas) {
+  const isSilent = areas.length > 0 && areas.every(({ present, silent }) => silent || !present), ages = areas.flatMap(({ age_s: age }) => age ?? []);
+  return isSilent && ages.length ? `Nothing received for ${Math.min(...ages).toFixed(0)} s` : "Live";
+}
+
 function showStatus() {
   if (!moment?.view) return;
   const areas = Object.values(moment.view.areas), counts = new Map();
@@ -125,7 +131,7 @@ function showStatus() {
   const words = [...counts].map(([quality, n]) => `${n} ${quality}`).join(", ");
   const strangers = moment.view.strangers ? [`${moment.view.strangers} more that are announced as areas are not shown`] : [];
   const remarks = [...strangers, ...moment.view.duplicates, ...moment.view.other_versions].join("; ");
-  byId("time").textContent = moment.mode === "playback" ? `Playback at ${when(moment, moment.at)}.` : `Live, ${clock(moment.time)}.`;
+  byId("time").textContent = moment.mode === "playback" ? `Playback at ${when(moment, moment.at)}.` : `${findSilence(areas)}, ${clock(moment.time)}.`;
   const lost = moment.mode === "live" && performance.now() - heardAt > SILENT_MS;
   const text = lost ? `The server has sent nothing since ${clock(moment.time)}.` : `${areas.length} areas: ${words || "nobody is there"}. ${remarks}`.trim();
   byId("title").textContent = `${grid.title === moment.view.run ? "" : `${grid.title}: `}run ${moment.view.run}`;

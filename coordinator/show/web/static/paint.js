@@ -1,7 +1,7 @@
 /** Paints the feeder: areas as regions, branches by loading, buses by voltage, dead links, messages. */
 
-import { PASSING, placesOf } from "./cause.js";
-import { entryOf, shorten } from "./format.js";
+import { gradeOf, placesOf } from "./cause.js";
+import { entryOf } from "./format.js";
 import { findShapes, keepApart, middle, nearest, placeBuses, stepOf, usualLength } from "./layout.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Painting} Painting @typedef {import("./types.js").Palette} Palette */
@@ -16,7 +16,7 @@ const SHADE_WIDTH = 24; // pixels of an area's shade, at most
 const LEAST_RINGED = 3; // pixels of a bus; smaller ones are squares without a ring
 const LABEL = 13; // pixels, height
 const LONGEST_LABEL = 40;
-const LONGEST_FLAG = 60; // characters
+const RINGED = 12; // pixels of the ring at a cause
 const DOT = 5; // pixels of a message
 const WAY_GAP = 27; // pixels beside the middles of areas: buses and their numbers stay legible
 const WAY_WIDTH = 13; // pixels between two messages on one way
@@ -37,7 +37,7 @@ export function paintFeeder(canvas, painting, structure) {
   const at = placeBuses(painting.grid, painting.view);
   const spacing = usualLength(at, structure.shapes.flatMap((shape) => shape.segments));
   const surface = { ...painting, ...structure, context, at, width, height, spacing };
-  for (const paint of [paintAreas, paintBranches, paintBuses, paintNames, paintLinks, paintMessages, paintCause]) paint(surface);
+  for (const paint of [paintAreas, paintBranches, paintBuses, paintLinks, paintMessages, paintNames, paintCause]) paint(surface);
 }
 
 /** On a seam of paper, so that lines below it do not cross it out. @param {Canvas} canvas @param {string} text @param {number} x @param {number} y @param {string} ink */
@@ -81,24 +81,25 @@ function traceRow(context, points) {
   for (const point of points) context.lineTo(...point);
 }
 
-/** Above the bus in the middle of each area, with its quality unless it is good; the worst come first where there is no room for all. @param {Canvas} canvas */
+/** Above the bus in the middle of each area, with its quality unless it is good, or on a flag with the cause if it is one; the worst come first where there is no room for all. @param {Canvas} canvas */
 function paintNames(canvas) {
   const { context, shapes, at, moment, width } = canvas;
   context.font = `600 ${LABEL - 1}px system-ui, sans-serif`;
   context.textAlign = "left";
-  const [place] = moment?.cause ? placesOf(moment.cause) : [];
-  const flagged = new Set(place?.[0] === "area" && place[1].length === 1 ? place[1] : []); // the flag of the cause says more
-  const labels = shapes.filter((shape) => shape.rows.length && !flagged.has(shape.name)).map((shape) => {
+  const cause = moment?.cause?.mark ? moment.cause : null, [place] = cause ? placesOf(cause) : [];
+  const flagged = new Set(place?.[0] === "area" ? place[1] : []);
+  const labels = shapes.filter((shape) => shape.rows.length).map((shape) => {
     const quality = (moment && entryOf(moment.qualities, shape.name)) ?? "none", isGood = quality === "good";
-    const text = (isGood ? shape.name : `${shape.name}: ${quality}`).slice(0, LONGEST_LABEL);
+    const isFlag = flagged.has(shape.name), said = isFlag ? cause?.mark : isGood ? "" : quality, text = `${shape.name}${said ? `: ${said}` : ""}`.slice(0, LONGEST_LABEL);
     const wide = context.measureText(text).width, [left, top] = at[nearest(at, shape.rows, middle(at, shape.rows))];
     const x = Math.max(2, Math.min(width - wide - 2, left - wide / 2));
-    return { text, quality, x, y: Math.max(LABEL, top - 16), width: wide, height: LABEL };
+    return { text, quality, isFlag, x, y: Math.max(LABEL, top - (isFlag ? 20 : 16)), width: wide, height: LABEL };
   });
-  const rank = (/** @type {{quality: string}} */ { quality }) => (quality === "good" ? 2 : quality === "degraded" ? 1 : 0);
+  const rank = (/** @type {{quality: string, isFlag: boolean}} */ { quality, isFlag }) => (isFlag ? -1 : quality === "good" ? 2 : quality === "degraded" ? 1 : 0);
   labels.sort((a, b) => rank(a) - rank(b));
   for (const label of keepApart(labels, (box) => box)) {
-    write(canvas, label.text, label.x, label.y, label.quality === "good" ? "--good" : label.quality === "degraded" ? "--degraded" : "--bad");
+    if (label.isFlag && cause) paintFlag(canvas, cause, label);
+    else write(canvas, label.text, label.x, label.y, label.quality === "good" ? "--good" : label.quality === "degraded" ? "--degraded" : "--bad");
   }
 }
 
@@ -160,7 +161,9 @@ function paintBuses(canvas) {
   if (seen.length > MOST_NUMBERED) return;
   context.font = "11px system-ui, sans-serif";
   context.textAlign = "center";
-  const numbers = seen.map((k) => ({ text: String(grid.buses.id[k]), x: at[k][0], y: at[k][1] + size + 12 }));
+  const ringed = new Set(findRinged(canvas)), chosen = canvas.choice?.kind === "bus" ? canvas.choice.id : null;
+  const reachOf = (/** @type {number} */ k) => (ringed.has(k) || String(grid.buses.id[k]) === chosen ? RINGED : grid.buses.areas[k].length > 1 ? size + 5 : size);
+  const numbers = seen.map((k) => ({ text: String(grid.buses.id[k]), x: at[k][0], y: at[k][1] + reachOf(k) + 12, reach: reachOf(k) })).sort((one, other) => other.reach - one.reach);
   const boxOf = (/** @type {{text: string, x: number, y: number}} */ { text, x, y }) => {
     const wide = context.measureText(text).width;
     return { x: x - wide / 2, y, width: wide, height: LABEL - 2 };
@@ -231,9 +234,9 @@ function paintLinks(canvas) {
   context.strokeStyle = palette.colours["--bad"];
   context.lineWidth = 3;
   context.beginPath();
-  for (const link of moment?.links ?? []) {
-    const place = find(link.to, link.from);
-    if (place === undefined || link.alive) continue;
+  for (const { receiver, sender } of moment?.dead ?? []) {
+    const place = find(receiver, sender);
+    if (place === undefined) continue;
     const [x, y] = at[place];
     context.moveTo(x - 8, y - 8);
     context.lineTo(x + 8, y + 8);
@@ -245,12 +248,12 @@ function paintLinks(canvas) {
   context.textAlign = "left";
   /** @type {Map<number, number>} */ const below = new Map(); // how many labels a bus has already
   const labels = (moment?.dead ?? []).flatMap(({ receiver, sender, text }) => {
-    const place = find(receiver, sender);
-    if (place === undefined) return [];
+    const place = find(receiver, sender), named = moment?.cause?.areas ?? [];
+    if (place === undefined || (named.includes(receiver) && named.includes(sender))) return []; // the flag says it
     const line = below.get(place) ?? 0, wide = context.measureText(text).width;
     below.set(place, line + 1);
     const [x, y] = at[place], left = Math.max(2, Math.min(width - wide - 2, x + 12));
-    return [{ text, x: left, y: Math.min(height - 4, y + 30 + line * (LABEL + 2)), width: wide, height: LABEL }];
+    return [{ text, x: left, y: Math.min(height - 4, y + 34 + line * (LABEL + 2)), width: wide, height: LABEL }];
   });
   for (const { text, x, y } of keepApart(labels, (box) => box)) write(canvas, text, x, y, "--bad");
 }
@@ -287,45 +290,52 @@ function paintMessages(canvas) {
   for (const { text, x, y } of keepApart(labels, (box) => box)) write(canvas, text, x, y, "--ink");
 }
 
-/** The place of the first cause: its buses in bold rings, and a flag there that says it. @param {Canvas} canvas */
-function paintCause(canvas) {
-  const { context, moment, at, palette, width } = canvas, cause = moment?.cause;
-  if (!cause || cause.kind === PASSING) return;
-  const rows = findPlaces(canvas, cause);
-  if (!rows.length) return;
-  const isAtBuses = placesOf(cause)[0][0] !== "area", [x, y] = isAtBuses && rows.length > 2 ? at[rows[0]] : middle(at, rows);
-  context.strokeStyle = palette.colours["--bad"];
-  context.lineWidth = 4;
-  context.beginPath();
-  if (isAtBuses) for (const place of rows) traceBus(context, at[place], LEAST_RINGED + 9);
-  context.stroke();
-  const text = shorten(cause.what, LONGEST_FLAG);
-  context.font = `700 ${LABEL}px system-ui, sans-serif`;
-  context.textAlign = "left";
-  const wide = context.measureText(text).width + 12, isBelow = y < 64, isOfMany = !isAtBuses && rows.length > 1;
-  const left = isOfMany ? (width - wide) / 2 : Math.max(2, Math.min(width - wide - 2, x - wide / 2)), top = isOfMany ? 4 : isBelow ? y + 26 : y - 52;
-  context.fillStyle = palette.colours["--bad"];
-  context.beginPath();
-  if (!isOfMany) { // it points there
-    context.moveTo(x, isBelow ? y + 8 : y - 8);
-    context.lineTo(Math.max(left, x - 7), isBelow ? top : top + 22);
-    context.lineTo(Math.min(left + wide, x + 7), isBelow ? top : top + 22);
-    context.closePath();
-  }
-  context.rect(left, top, wide, 22);
-  context.fill();
+/** @param {Canvas} canvas @param {Cause} cause @param {{text: string, x: number, y: number, width: number}} box */
+function paintFlag({ context, palette }, cause, { text, x, y, width }) {
+  context.fillStyle = palette.colours[`--${gradeOf(cause)}`];
+  context.fillRect(x - 6, y - LABEL, width + 12, LABEL + 6);
   context.fillStyle = palette.colours["--paper"];
-  context.fillText(text, left + 6, top + 15.5);
+  context.fillText(text, x, y);
 }
 
-/** Buses, ends of branches or middles of areas where a cause is. @param {Canvas} canvas @param {Cause} cause @returns {number[]} their rows */
-function findPlaces({ grid, shapes, at, row }, cause) {
+/** The place of the first cause unless it is an area: its buses in bold rings, and a flag there. @param {Canvas} canvas */
+function paintCause(canvas) {
+  const { context, moment, at, palette, width } = canvas, cause = moment?.cause, rows = findRinged(canvas);
+  if (!cause || !rows.length) return;
+  const [[kind, ids]] = placesOf(cause), [x, y] = kind === "branch" && ids.length === 1 ? middle(at, rows) : at[rows[0]];
+  context.strokeStyle = palette.colours[`--${gradeOf(cause)}`];
+  context.lineWidth = 4;
+  context.beginPath();
+  for (const place of rows) traceBus(context, at[place], RINGED);
+  context.stroke();
+  const text = `${kind === "meter" ? "" : `${kind} `}${ids[0]}: ${cause.mark}`.slice(0, LONGEST_LABEL);
+  context.font = `600 ${LABEL - 1}px system-ui, sans-serif`;
+  context.textAlign = "left";
+  const wide = context.measureText(text).width, left = Math.max(8, Math.min(width - wide - 8, x - wide / 2)), top = Math.max(LABEL + 2, y - 38);
+  context.fillStyle = palette.colours[`--${gradeOf(cause)}`];
+  context.beginPath();
+  context.moveTo(x, y - RINGED - 1);
+  context.lineTo(Math.max(left, x - 6), top + 5);
+  context.lineTo(Math.min(left + wide, x + 6), top + 5);
+  context.closePath();
+  context.fill();
+  paintFlag(canvas, cause, { text, x: left, y: top, width: wide });
+}
+
+/** @param {Canvas} canvas @returns {number[]} rows of the buses that the first cause rings */
+function findRinged(canvas) {
+  const cause = canvas.moment?.cause;
+  return cause?.mark && placesOf(cause)[0]?.[0] !== "area" ? findPlaces(canvas, cause) : [];
+}
+
+/** Buses or ends of branches where a cause is. @param {Canvas} canvas @param {Cause} cause @returns {number[]} their rows */
+function findPlaces({ grid, row }, cause) {
   const rowOf = (/** @type {number} */ bus) => row.get(bus) ?? [];
   for (const [kind, ids] of placesOf(cause)) {
     const named = new Set(ids);
     const rows = kind === "bus" ? cause.buses.flatMap(rowOf)
       : kind === "branch" ? grid.branches.id.flatMap((id, k) => (named.has(id) ? [grid.branches.from_bus[k], grid.branches.to_bus[k]] : [])).flatMap(rowOf)
-      : kind === "area" ? shapes.filter((shape) => named.has(shape.name) && shape.rows.length).map((shape) => nearest(at, shape.rows, middle(at, shape.rows))) : [];
+      : [];
     if (rows.length) return rows;
   }
   return [];

@@ -13,8 +13,10 @@ const ABOUT = ["id", "meter", "quality", "value_age_s", "fresh"]; // columns tha
 function describeArea(moment, id) {
   const area = entryOf(moment.view.areas, id);
   if (!area) return [["area", id], ["quality", "not there"]];
+  const own = area.notes.filter((note) => !note.startsWith("behind ")); // what neighbours have passed on says no more
   return [
-    ["area", id], ["quality", area.quality, qualityClass(area.quality)], ["why", area.notes.join("; ") || "nothing to remark"], ["it says", area.said_quality],
+    ["area", id], ["quality", area.quality, qualityClass(area.quality)], ...(area.said_quality === area.quality ? [] : [/** @type {Fact} */ ([area.fresh ? "it says" : "it said before", area.said_quality])]),
+    ["its notes", (own.length ? own : area.notes).join("; ") || "none"],
     ["values", ageOf(area.fresh, area.value_age_s), area.fresh ? "" : "bad"],
     ["receives from", countReceived(moment.links).get(id) ?? "-"],
     ["J", `${number(area.objective, 4)} with ${area.degrees_of_freedom} degrees of freedom`], ["oldest reading", `${number(area.oldest_reading_s, 3)} s`],
@@ -29,7 +31,8 @@ function describePlace(grid, { kind, id }) {
   if (place < 0) return [];
   const name = grid.buses.name[place], kv = grid.buses.base_kv[place];
   /** @type {Fact[]} */ const given = [...(name ? [/** @type {Fact} */ (["name", name])] : []), ...(kv === null ? [] : [/** @type {Fact} */ (["base kV", number(kv)])])];
-  return [...given, ["areas", grid.buses.areas[place].join(", ")]];
+  const others = grid.buses.areas[place].filter((area) => area !== grid.buses.area[place]);
+  return [...given, ...(others.length ? [/** @type {Fact} */ (["shared with", others.join(", ")])] : [])];
 }
 
 /** @param {unknown} fresh @param {unknown} age s, null where there is no value @returns {string} */
@@ -43,7 +46,7 @@ export function describeRow(row) {
   const { quality: [quality] = [], fresh: [fresh] = [], value_age_s: [age] = [], unit: [unit] = [] } = row;
   const doubt = quality === undefined || quality === "good" ? "" : fresh ? ` (${quality})` : ` (${quality}, ${ageOf(true, age)})`;
   const isOld = fresh === false;
-  /** @type {Fact[]} */ const about = quality === undefined ? [] : [["quality", String(quality), qualityClass(String(quality))], ["values", ageOf(fresh, age), isOld ? "bad" : ""]];
+  /** @type {Fact[]} */ const about = quality === undefined ? [] : [["quality of its area", String(quality), qualityClass(String(quality))], ["values", ageOf(fresh, age), isOld ? "bad" : ""]];
   const names = Object.keys(row).filter((name) => !ABOUT.includes(name) && row[name].length && row[name][0] !== "");
   return [...about, ...names.map((name) => {
     const value = row[name][0], isReading = ["reading", "estimate", "sigma"].includes(name);

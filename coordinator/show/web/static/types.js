@@ -17,7 +17,7 @@
  * @typedef {{known: number, total: number, outside: number, worst: Extreme[], lowest: Extreme|null, highest: Extreme|null}} Spread
  * @typedef {{known: number, total: number, p_kw: number|null, q_kvar: number|null}} Total
  * @typedef {Record<"voltage"|"loading"|"current"|"residual", Spread> & Record<"head"|"loss"|"load"|"generation", Total>} Summary of fresh values
- * @typedef {{kind: string, what: string, since: number|null, action: string, text: string, areas: string[], buses: number[],
+ * @typedef {{kind: string, severity: string, scope: string, remark: string, mark: string, what: string, since: number|null, action: string, text: string, areas: string[], buses: number[],
  *   branches: string[], meters: string[], effects: string[]}} Cause
  * @typedef {{time: number, area: string, kind: string, text: string}} Event
  * @typedef {Record<string, (number|string|boolean|null)[]>} Columns of buses and branches in the order of the grid, unless they have an `id`

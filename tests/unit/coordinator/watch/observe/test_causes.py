@@ -116,7 +116,7 @@ def test_a_limit_is_exceeded_since_the_first_of_the_looks_that_have_seen_it_so(t
     onsets = Onsets()
     looks = [((), 0.0), ((cause,), 3.0), ((cause,), 5.0), ((), 6.0), ((cause,), 7.0), ((cause,), 4.0)]
     assert [[found.since for found in onsets.date(*look)] for look in looks] == [[], [3.0], [3.0], [], [7.0], [4.0]]
-    assert "seen since 3.0 s: " in str(replace(cause, since=3.0))
+    assert ", seen since 3.0 s: " in str(replace(cause, since=3.0))
 
 
 def test_a_remark_tells_states_of_the_grid_from_faults_of_the_data_and_is_said_once(tmp_path: Path):
