@@ -36,7 +36,8 @@ MOST_PLACES = 50_000_000  # 400 MB each of values and standard deviations
 
 @dataclass(frozen=True)
 class Scans:
-    """Readings of many scans of one grid, p.u. and rad. ``names`` (n_scan,): their names in the file, in its order.
+    """Readings of many scans of one grid, p.u. and rad. ``names`` (n_scan,): their names in the file, by their times
+    where all names state one, else in its order.
 
     ``meters``: all with a reading in any scan. ``values``, ``sigmas`` (n_scan, n_meas): nan where a scan lacks the
     reading.
@@ -91,7 +92,7 @@ def load_scans(path: Path, network: Network) -> Scans:
 def read_scans(text: str, source: str, network: Network) -> Scans:
     """The scans in ``text``, as ``load_scans`` reads them from a file; ``source``: name of the text in errors."""
     read = _read(text, source, network, takes_scans=True)
-    scan_row = {scan: k for k, scan in enumerate(dict.fromkeys(read.scans))}
+    scan_row = {scan: k for k, scan in enumerate(_in_order(list(dict.fromkeys(read.scans)), source))}
     if (places := len(scan_row) * len(read.meters)) > MOST_PLACES:
         problem = f"{len(scan_row):,} scans of {len(read.meters):,} meters are {places:,} places for readings"
         raise InvalidInputError(source, [f"{problem}, the limit is {MOST_PLACES:,}; divide it into several files"])
@@ -99,6 +100,22 @@ def read_scans(text: str, source: str, network: Network) -> Scans:
     values, sigmas = np.full((2, len(scan_row), len(read.meters)), np.nan)
     values[at], sigmas[at] = read.values, read.sigmas
     return Scans(tuple(scan_row), read.meters, values, sigmas)
+
+
+def _in_order(names: Sequence[str], source: str) -> Sequence[str]:
+    """Names of scans by their times; as given where one states none.
+
+    Raises:
+        InvalidInputError: scans of different names state the same time.
+    """
+    times = {name: time for name in names if not math.isnan(time := read_time(name))}
+    first = {time: name for name, time in reversed(times.items())}
+    if twice := [(first[time], name) for name, time in times.items() if first[time] != name]:
+        problems = [
+            f"scans {one!r:.80} and {other!r:.80} are at the same time; give each its own" for one, other in twice
+        ]
+        raise InvalidInputError(source, problems)
+    return sorted(names, key=times.__getitem__) if len(times) == len(names) else names
 
 
 def _read(text: str, source: str, network: Network, *, takes_scans: bool) -> SoundReadings:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 
@@ -18,7 +19,7 @@ def as_readings_text(text: str) -> str:
     """The readings in ``text`` if that is a table of meters, else ``text`` itself.
 
     Rows without a reading, and those of virtual meters, become empty lines, so that lines keep their numbers. A scan
-    is named by its time where that is known. The scan of a table of a single one has no name.
+    is named by its time where that is known, and no other scan has it. The scan of a table of a single one has no name.
     """
     titles = text.partition("\n")[0].rstrip("\r").split(",")
     is_table = {METER, SOURCE} <= {*titles} <= COLUMNS and len({*titles}) == len(titles)
@@ -59,5 +60,8 @@ def _reading_of(titles: Sequence[str], values: Sequence[int]) -> Callable[[Seque
 def _name_scans(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Name of the scan of each row; none at all where the table has a single scan."""
     by = [titles.index(title) for title in (TIME, SCAN) if title in titles]
-    names = [next((row[k] for k in by if row[k]), "") if row else "" for row in rows]
+    found = dict.fromkeys(tuple(row[k] for k in by) for row in rows if row)
+    of_time = Counter(cells[0] for cells in found if cells)
+    name_of = {cells: next((x for x in cells if x and of_time[x] < 2), cells[-1] if cells else "") for cells in found}
+    names = [name_of[tuple(row[k] for k in by)] if row else "" for row in rows]
     return names if len({name for name, row in zip(names, rows, strict=True) if row}) > 1 else []

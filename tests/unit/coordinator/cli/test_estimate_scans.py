@@ -16,11 +16,13 @@ from coordinator.lab.evaluation.scan_estimates import (
     load_scans_of,
     with_one_scan,
 )
+from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.grid.measurement import Measurement, Meter, Source
 from dsse_core.results.results import TABLES, results_of_estimate
 from dsse_core.results.table import Table
 from scenarios.files.readings.file import save_readings
+from scenarios.files.readings.written import as_readings_text
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -215,3 +217,23 @@ def test_a_scenario_is_not_a_file_of_scans(tmp_path: Path, dsse: Dsse) -> None:
     code, _, err = dsse("estimate", str(tmp_path / "x.toml"))
     assert code == 2
     assert "--readings" in err
+
+
+def test_scans_are_in_the_order_of_their_times_and_two_of_one_time_are_an_error(tmp_path: Path) -> None:
+    late, early = "2026-11-26T10:15+01:00", "2026-11-26T09:00Z"
+    assert load_scans_of(SCENARIO, write_scans(tmp_path, {late: readings_of(1), early: readings_of(2)})).names == (
+        early,
+        late,
+    )
+    unordered = {late: readings_of(1), "b": readings_of(2), "a": readings_of(3), early: readings_of(4)}
+    assert load_scans_of(SCENARIO, write_scans(tmp_path, unordered)).names == tuple(unordered)
+    same = {"b": readings_of(1), "2026-11-26T10:00+01:00": readings_of(2), early: readings_of(3)}
+    with pytest.raises(InvalidInputError, match=r"10:00\+01:00' and '2026-11-26T09:00Z' are at the same time"):
+        load_scans_of(SCENARIO, write_scans(tmp_path, same))
+
+
+def test_a_table_of_meters_names_scans_of_one_time_by_their_scan() -> None:
+    ends = ["1,2026-11-26T10:00", "2,2026-11-26T10:00", "3,", "4,2026-11-26T11:00"]
+    rows = [f"vm@1,telemetered,1.0,0.01,{end}" for end in ends]
+    text = as_readings_text("\n".join(["meter,source,value_pu,sigma_pu,scan,time", *rows]))
+    assert [row["scan"] for row in table_of(text)] == ["1", "2", "3", "2026-11-26T11:00"]
