@@ -308,13 +308,13 @@ class StateMessage:
     ``messages``, ``bytes``, ``lost``: totals handed to the bus, ``lost`` of them dropped by the links; ``faults``:
     number of injected faults by kind. ``rejected``: number of rejected payloads by reason.
     ``quality``: of the state (docs/explanation/quality.md). ``notes``: its reasons, the worst first, then remarks.
-    ``telemetry_age``: s since telemetry was last received;
+    ``telemetry_age``: s since telemetry was last received, before the first since the process began;
     ``ages``, ``scans``: neighbour -> s since its boundary message was last received, and the scan of the newest;
     ``old_sides``: neighbours that state that their side rests on something old. ``clock_skews``: neighbour -> lead of
     its clock over this area's, s. All these hold at ``header.time`` and may differ between two states of one sequence
     number.
     ``taken_at``: time to which the ages of the readings count, s since 1970; ``oldest_reading``: age of the oldest
-    reading used, s; without any, age of the newest one received. ``meters_off``: meters that the operator has switched
+    reading used, s, and at least ``telemetry_age``. ``meters_off``: meters that the operator has switched
     off; ``command``: (start_ms, random, sequence) of the last command that was followed, zeros before any. ``split``:
     of the area file; ``next_split``: of the file that lies ready beside it. ``into_children``: P and Q from each of the
     area's boundary buses into the branches of each child there, as ``Area.powers_into_children`` has them; empty where

@@ -99,8 +99,8 @@ class ScanReadings:
         return self.scan in self._later or self._takes_anew
 
     def age(self, now: float) -> float:
-        """Returns the time since telemetry was last received, s; 0 before the first."""
-        return now - self._received_at if self._last else 0.0
+        """Returns the time since telemetry was last received, s; before the first, since the area's process began."""
+        return now - self._received_at
 
     def is_late(self, now: float, heartbeats: float = FRESH_HEARTBEATS) -> bool:
         """True where no telemetry has been received for ``heartbeats`` intervals."""
@@ -320,8 +320,8 @@ class TickReadings(ScanReadings):
         return self._waits_for_term or self._takes_anew
 
     def age(self, now: float) -> float:
-        """Returns the time since the newest reading was measured, s; 0 before the first."""
-        return max(0.0, now + self.clock_offset - self.store.newest_time) if self.store.newest else 0.0
+        """Returns the time since the newest reading was measured, s; before the first, since the process began."""
+        return max(0.0, now + self.clock_offset - self.store.newest_time) if self.store.newest else super().age(now)
 
     def is_late(self, now: float, heartbeats: float = 0.0) -> bool:
         """Returns False: each reading states its own time."""

@@ -96,7 +96,7 @@ class PublishedState:
             rejected=dict(Counter(self._rejections.counts) + self._scan.rejected),
             clock_skews=self._peers.clock_skews(),
             taken_at=ages.taken_at,
-            oldest_reading=ages.oldest_s if ages.times else self._scan.age(now),
+            oldest_reading=max(ages.oldest_s, self._scan.age(now)),
             meters_off=self.ordered.meters_off,
             command=self.ordered.order,
             split=self._splits.own,

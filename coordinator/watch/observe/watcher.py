@@ -289,7 +289,7 @@ class Watcher:
             lowest_vm=_extreme(state, min(state.vm, default=None)),
             highest_vm=_extreme(state, max(state.vm, default=None)),
             worst_meter=_find_worst(self._readings.get(name), state),
-            oldest_reading_s=round(max(state.oldest_reading, state.telemetry_age) + now - at, 3),
+            oldest_reading_s=round(state.oldest_reading + now - at, 3),
             clock_skews_s=state.clock_skews,
             objective=state.objective,
             degrees_of_freedom=state.degrees_of_freedom,

@@ -184,9 +184,19 @@ def test_a_silent_plant_makes_every_estimate_stale_visibly(bus: SimulatedBus):
     bus.run(SOON)
     assert set(qualities(bus).values()) == {"stale"}
     assert all(state.telemetry_age >= FRESH_HEARTBEATS * HEARTBEAT_S for state in bus.states.values())
+    assert all(state.oldest_reading >= state.telemetry_age for state in bus.states.values())
     bus.plant_publishes = True
     bus.run(HEARTBEAT_S + 0.01)
     assert set(qualities(bus).values()) == {"good"}
+
+
+def test_an_area_that_never_receives_telemetry_is_as_long_without_it_as_it_runs():
+    scenario = load_scenario("ieee33")
+    bus = SimulatedBus(area_files_of(scenario), make_telemetry(scenario).by_area)
+    bus.plant_publishes = False
+    bus.run(5.0)
+    ages = [age for state in bus.states.values() for age in (state.telemetry_age, state.oldest_reading)]
+    assert min(ages) >= 5.0 - 2 * HEARTBEAT_S
 
 
 def test_one_late_area_degrades_those_who_are_ahead_and_itself(bus: SimulatedBus):
