@@ -131,17 +131,18 @@ def _write_view(view: View, width: int, summary: Summary | None) -> Iterator[tup
 
 def write_summary(summary: Summary) -> Iterator[str]:
     """Sentences on the voltages and loadings of the present, and on the powers of the grid."""
-    voltage, loading, head = summary.voltage, summary.loading, summary.head
-    yield _describe_extent(voltage, "buses", ".3f", " p.u.")
+    voltage, loading, head, limits = summary.voltage, summary.loading, summary.head, summary.limits
+    yield _describe_extent(voltage, "buses", ".4f", " p.u.", f"{limits.lowest_vm:g} to {limits.highest_vm:g}")
     if loading.total:
-        yield _describe_extent(loading, "branches with a rating", ".0f", " %")
+        yield _describe_extent(loading, "branches with a rating", ".1f", " %", f"{limits.most_loading_percent:g}")
     if summary.loss.total:
         powers = [("head", head), ("load", summary.load), ("generation", summary.generation), ("losses", summary.loss)]
         said = [f"{name} {power.p_kw:.1f}{_count_parts(power)}" for name, power in powers if power.p_kw is not None]
         yield f"power in kW: {', '.join(said) or 'not known'}"
 
 
-def _describe_extent(extent: Extent, things: str, form: str, unit: str) -> str:
+def _describe_extent(extent: Extent, things: str, form: str, unit: str, limits: str) -> str:
+    """A sentence that names the limits: without a scenario they need not be those of the run."""
     if extent.lowest is None or extent.highest is None:
         return f"of {extent.total} {things} none is known"
     counted = (
@@ -151,9 +152,9 @@ def _describe_extent(extent: Extent, things: str, form: str, unit: str) -> str:
     )
     band = f"{extent.lowest.value:{form}} to {extent.highest.value:{form}}{unit}"
     if not extent.outside:
-        return f"{counted}, within limits: {band}"
+        return f"{counted}, within {limits}{unit}: {band}"
     worst = ", ".join(f"{printable(each.at)} {each.value:{form}}" for each in extent.worst)
-    return f"{counted}, {band}; {extent.outside} beyond limits: {worst}"
+    return f"{counted}, {band}; {extent.outside} beyond {limits}{unit}: {worst}"
 
 
 def _count_parts(power: Power) -> str:

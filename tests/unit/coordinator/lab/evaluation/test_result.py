@@ -111,7 +111,7 @@ def test_numbers_of_an_area_that_has_published_nothing_are_not_fresh_and_counted
     assert (voltage["known"], voltage["total"]) == (33 - of_area2.sum(), 33)
     assert content["summary"]["loss"]["known"] < content["summary"]["loss"]["total"]
     page = make_run_page(result, [], [])
-    assert any(line.startswith(f"of 33 buses {voltage['known']} known, within limits") for line in page.findings)
+    assert any(line.startswith(f"of 33 buses {voltage['known']} known, within 0.9 to 1.1") for line in page.findings)
 
 
 def test_no_gap_of_the_verdict_is_lost_by_rounding_in_a_file(tmp_path: Path):

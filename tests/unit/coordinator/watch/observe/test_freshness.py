@@ -15,7 +15,7 @@ from coordinator.show.web.moment import Moments
 from coordinator.watch.observe.freshness import find_freshness
 from coordinator.watch.observe.grid_tables import GridTables, Tables, find_tables
 from coordinator.watch.observe.summary import summarise
-from coordinator.watch.observe.view_text import format_view
+from coordinator.watch.observe.view_text import format_view, write_summary
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.estimation.state_limits import OperatingLimits
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
@@ -85,7 +85,7 @@ def test_an_area_that_is_gone_keeps_its_numbers_with_their_age_and_none_of_them_
     assert buses.vm_pu[~of_area2].min() == after.voltage.lowest.value
     assert after.loss.known < after.loss.total == 32
     text = format_view(watcher.look(GONE_S), summary=after)
-    assert f"of 33 buses {33 - lost} known" in text
+    assert f"of 33 buses {33 - lost} known, within 0.9 to 1.1 p.u.: " in text
     assert "its numbers are 200 s old" in text
 
 
@@ -107,6 +107,7 @@ def test_the_summary_is_that_of_the_power_flow_beside_the_limits_of_the_scenario
     assert found.head.q_kvar == pytest.approx(whole.buses.q_kvar[whole.buses.bus == 1].sum(), rel=1e-9)
     low = whole.buses.bus[whole.buses.vm_pu < 0.92]
     assert found.voltage.outside == len(low) > 0
+    assert any(f"; {len(low)} beyond 0.92 to 1.1 p.u.: " in line for line in write_summary(found))
     assert found.voltage.worst[0].at == str(whole.buses.bus[whole.buses.vm_pu.argmin()])
     assert found.current.highest is not None
     assert found.current.highest.value == pytest.approx(max(whole.branches.i_from_a), rel=1e-9)
