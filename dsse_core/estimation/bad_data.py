@@ -24,6 +24,7 @@ from dsse_core.estimation.result import EstimationResult
 from dsse_core.gauss_newton import LAST_STEP
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Network
+from dsse_core.grid.nodes import list_phases
 
 NO_NUMBERS = Totals(areas=1, failed=("",))  # of a grid whose iteration has no end
 
@@ -214,8 +215,12 @@ def _describe_dead(m: Measurement, result: EstimationResult) -> RemovedMeasureme
 
     ``|z - vm| / sqrt(sigma^2 + sigma_vm^2)`` is its normalised residual in the linear model.
     """
-    row, (sigma_vm, _) = result.network.row[m.meter.bus], result.state_sigma()
-    normalized = float(abs(m.value - result.vm[row]) / np.hypot(m.sigma, sigma_vm[row]))
+    nodes = [result.network.node(m.meter.bus, phase) for phase in list_phases(m.meter.phases)]
+    vm, sigma = result.vm[nodes[0]], result.state_sigma()[0][nodes[0]]
+    if len(nodes) > 1:
+        v = result.vm[nodes] * np.exp(1j * result.va[nodes])
+        vm = abs(v[0] - v[1])
+    normalized = float(abs(m.value - vm) / np.hypot(m.sigma, sigma))
     return RemovedMeasurement(m, normalized, ())
 
 

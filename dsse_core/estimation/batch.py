@@ -146,7 +146,7 @@ class _Rows:
     def of(
         cls, plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, start: Start | None, tolerance: float
     ) -> _Rows:
-        n, n_meas = len(plan.network.buses), len(plan.meters)
+        n, n_meas = plan.network.n_nodes, len(plan.meters)
         values = np.ascontiguousarray(read_numbers("values", values))
         sigmas = np.array(read_numbers("sigmas", sigmas), order="C")
         n_row = len(values) if values.ndim else 0

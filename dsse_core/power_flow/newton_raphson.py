@@ -158,7 +158,7 @@ def _newton(
     p_rows, q_rows, model, x = plan.p_rows, plan.q_rows, plan.model, plan.start
     rows = np.r_[p_rows, q_rows]
     target = np.r_[scheduled.real[p_rows], scheduled.imag[q_rows]]
-    unknown = np.r_[p_rows, len(plan.network.buses) + q_rows]
+    unknown = np.r_[p_rows, plan.network.n_nodes + q_rows]
     limit = limit[rows]
     mismatch = target - model.predict(x)
     iterations = 0

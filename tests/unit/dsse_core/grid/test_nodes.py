@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from dsse_core.errors import InvalidInputError, NotObservableError
+from dsse_core.estimation.bad_data import process_bad_data
+from dsse_core.estimation.batch import estimate_batch
 from dsse_core.estimation.estimator import estimate_state
+from dsse_core.estimation.plan import build_estimation_plan
 from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.loads import Load, find_nominal
@@ -250,3 +253,29 @@ def test_the_load_of_a_balanced_bus_is_one_leg_of_constant_power(meshed: Network
 def test_a_load_that_does_not_fit_is_refused_by_name(feeder: Network, load: Load, problem: str) -> None:
     with pytest.raises(InvalidInputError, match=problem):
         replace(feeder, loads=(load,))
+
+
+@pytest.mark.parametrize("wrong", ["p_flow@632.b:632-645", "vm@645.c", "vm@632.bc"])
+def test_a_wrong_reading_of_a_phase_is_found_and_the_others_give_the_state(
+    feeder: Network, state: np.ndarray, wrong: str
+) -> None:
+    meters = [m for m in every_meter(feeder) if m.kind is not KIND.VA]
+    z = build_measurement_model(feeder, build_admittance(feeder), meters).predict(state)
+    z[[m.id for m in meters].index(wrong)] += 0.3
+    readings = [Measurement(m, value, 0.01) for m, value in zip(meters, z.tolist(), strict=True)]
+    report = process_bad_data(feeder, readings)
+    assert [removed.measurement.meter.id for removed in report.removed] == [wrong]
+    assert np.r_[report.result.va, report.result.vm] == pytest.approx(state, abs=1e-9)
+
+
+def test_a_dead_voltmeter_of_a_phase_is_taken_out_and_rows_of_a_batch_have_all_nodes(
+    feeder: Network, state: np.ndarray
+) -> None:
+    meters = [m for m in every_meter(feeder) if m.kind is not KIND.VA]
+    z = build_measurement_model(feeder, build_admittance(feeder), meters).predict(state)
+    plan = build_estimation_plan(feeder, meters)
+    found = estimate_batch(plan, np.stack([z, z]), np.full(len(z), 0.01))
+    assert found.vm == pytest.approx(np.stack([state[8:]] * 2), abs=1e-9)
+    z[[m.id for m in meters].index("vm@632.c")] = 0.0
+    report = process_bad_data(feeder, [Measurement(m, v, 0.01) for m, v in zip(meters, z.tolist(), strict=True)])
+    assert [removed.measurement.meter.id for removed in report.removed] == ["vm@632.c"]
