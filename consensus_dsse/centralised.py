@@ -127,8 +127,8 @@ def estimate(
         readings: these in place of the scenario's: the path of a readings file; a frame, table or mapping with its
             columns ``meter``, ``value_UNIT``, ``sigma_UNIT`` and, for many scans, ``scan``, such as ``meters`` of a
             result; or one with meters as names and their readings in kW, kvar, A, p.u. or degrees: a number for each,
-            or an array with one for each scan, nan where it is missing. Their standard deviations are those of the
-            scenario's own scan.
+            or an array with one for each scan, nan or masked where it is missing. Their standard deviations are those
+            of the scenario's own scan.
 
     Returns:
         The estimate; of many scans their tables ``scans``, ``buses``, ``branches``, ``meters`` and ``areas``.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -33,7 +34,12 @@ def write_readings(scenario: Scenario, readings: Any) -> str:
     if "meter" not in names:
         return _write_wide(scenario, {name: readings[name] for name in names}, getattr(readings, "index", None))
     first = [name for name in ("meter", "scan") if name in names]
-    return _write({str(name): np.asarray(readings[name]) for name in dict.fromkeys([*first, *names])})
+    return _write({str(name): _filled(readings[name], "") for name in dict.fromkeys([*first, *names])})
+
+
+def _filled(column: Any, empty: Any, dtype: Any = None) -> np.ndarray:
+    """``column`` with ``empty`` where it is masked."""
+    return np.asarray(column.astype(object).filled(empty) if np.ma.is_masked(column) else column, dtype)
 
 
 def _write(columns: Mapping[str, np.ndarray]) -> str:
@@ -54,7 +60,7 @@ def _write_wide(scenario: Scenario, values: Mapping[str, Any], index: Any) -> st
         problems = [f"{name!r} is no meter of {scenario.name!r}{suggest(name, own)}" for name in unknown[:10]]
         raise InvalidInputError("readings", [*problems, f"give its meters, or columns {COLUMNS}"])
     try:
-        arrays = [np.atleast_1d(np.asarray(column, dtype=float)) for column in values.values()]
+        arrays = [np.atleast_1d(_filled(column, np.nan, float)) for column in values.values()]
     except (TypeError, ValueError) as error:
         raise InvalidInputError("readings", [f"each meter has a number or an array of numbers: {error}"]) from None
     if len(shapes := {column.shape for column in arrays}) != 1 or len(next(iter(shapes))) > 1:
@@ -67,6 +73,8 @@ def _write_wide(scenario: Scenario, values: Mapping[str, Any], index: Any) -> st
     columns: dict[str, np.ndarray] = {"meter": np.array(list(values))[column]}
     if any(np.ndim(each) for each in values.values()):
         names = list(map(str, range(1, len(matrix) + 1) if index is None else index))
+        if wrong := [name for name, n in Counter(names).items() if n > 1 or name in UNKNOWN]:
+            raise InvalidInputError("readings", [f"{name!r} names no row, or several; give each one" for name in wrong])
         columns["scan"] = np.array(names)[scan]
     sigmas = np.array([own[name].sigma for name in values]) * find_unit_sizes(scenario.network, meters)
     units = np.array([UNIT[meter.kind] for meter in meters])

@@ -57,7 +57,7 @@ def compare(
         WorkerError: a worker was killed, or has other versions than this process.
     """
     chosen = choose_scenario(scenario, seed, changes=changes or {})
-    names = choose_strategies(None if strategies is None else ",".join(strategies))
+    names = choose_strategies(strategies if strategies is None or isinstance(strategies, str) else ",".join(strategies))
     if executor is not None:
         return _make_table(compare_side_by_side(chosen, names, executor), {})
     content = hash_scenario(chosen)
@@ -103,7 +103,13 @@ def sweep(
     """
     if isinstance(scenario, Scenario):
         raise InvalidInputError("sweep", [f"scenario {scenario.name!r} is loaded already; give its name or its path"])
-    names = choose_strategies(None if strategies is None else ",".join(strategies))
+    names = choose_strategies(strategies if strategies is None or isinstance(strategies, str) else ",".join(strategies))
+    if problems := [
+        f"{keys!r}: {values!r:.80}; give a key with commas where several vary, and a list of values"
+        for keys, values in vary.items()
+        if not isinstance(keys, str) or isinstance(values, str) or not np.iterable(values)
+    ]:
+        raise InvalidInputError("sweep", problems)
     axes = [Axis(split_keys(keys), list(map(_plain, values))) for keys, values in vary.items()]
     plan = make_plan(str(scenario), axes, names, seeds, changes=changes or {})
     rows = dict(run_tasks(plan, plan.tasks, jobs, executor))

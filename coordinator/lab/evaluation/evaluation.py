@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from numbers import Integral
 from pathlib import Path
 
 from agents.strategies.installed import list_strategies, load_strategy
@@ -58,7 +59,7 @@ def choose_scenario(
     else:
         scenario = load_scenario(scenario, strategies=list_strategies(), changes=changes)
     if seed is not None:
-        if not 0 <= seed <= LARGEST_SEED:
+        if not (isinstance(seed, Integral) and 0 <= seed <= LARGEST_SEED):
             raise InvalidInputError("seed", [f"must be an integer from 0 to {LARGEST_SEED}"])
         scenario = replace(scenario, seed=seed)
     if strategy is not None:

@@ -112,7 +112,7 @@ def make_plan(
         InvalidInputError: the scenario cannot be used, a key has an option of its own or is also in ``changes``, a key
             or a value is given twice, or the scenario rejects values; then it names them all, with the reasons.
     """
-    _check_axes(axes, changes, links)
+    _check_axes(axes, changes, links, seeds)
     base = choose_scenario(name_or_path, timeout_s=timeout_s, links=links, changes=changes)
     scenarios, problems = {}, []
     for values in itertools.product(*(axis.values for axis in axes)):
@@ -131,7 +131,7 @@ def make_plan(
     return SweepPlan(tuple(axis.keys for axis in axes), base, scenarios, tuple(strategies), seeds, links)
 
 
-def _check_axes(axes: Sequence[Axis], changes: Mapping[str, object], links: LinkChanges) -> None:
+def _check_axes(axes: Sequence[Axis], changes: Mapping[str, object], links: LinkChanges, seeds: int) -> None:
     keys = [key for axis in axes for key in axis.keys]
     problems = [
         f"{key} is varied by {option}; choose another key" for key, option in OPTION_OF_KEY.items() if key in keys
@@ -144,8 +144,11 @@ def _check_axes(axes: Sequence[Axis], changes: Mapping[str, object], links: Link
         texts = list(map(text_of, axis.values))
         twice = [text for text in dict.fromkeys(texts) if texts.count(text) > 1]
         problems += [f"{','.join(axis.keys)}: {', '.join(twice)} is given twice; keep one"] if twice else []
+    problems += [f"{','.join(axis.keys)} has no value; give at least one" for axis in axes if not axis.values]
     if (n := math.prod(len(axis.values) for axis in axes)) > MAX_VALUES:
         problems.append(f"{n} combinations of values; the limit is {MAX_VALUES}")
+    if seeds < 1:
+        problems.append(f"{seeds} seeds; give at least one")
     if problems:
         raise InvalidInputError("--vary", problems)
 

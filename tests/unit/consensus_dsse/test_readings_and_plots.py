@@ -101,12 +101,49 @@ def test_the_rows_of_a_frame_name_the_scans(found: dsse.Estimate):
         ([1.0, 2.0], "found list; give a path"),
         ({"vm@1": "high"}, "a number or an array of numbers"),
         ({"vm@1": np.ones((2, 2))}, "one number for each scan"),
+        ({"vm@1": np.ma.array([1.0, 1.0], mask=True)}, "there is no reading"),
         (Path("nowhere.csv"), "cannot be read"),
     ],
 )
 def test_a_mistake_in_readings_is_one_clear_error(readings: Any, message: str):
     with pytest.raises(dsse.InvalidInputError, match=message):
         dsse.estimate("ieee33", readings=readings)
+
+
+@pytest.mark.parametrize("names", [["a", "a"], ["a", None]])
+def test_a_row_of_a_frame_that_has_no_name_of_its_own_is_an_error(names: list[str | None]):
+    frame = pytest.importorskip("pandas").DataFrame({"vm@1": [1.0, 1.0]}, index=names)
+    with pytest.raises(
+        dsse.InvalidInputError, match=f"readings: 1 problem\n  - '{names[-1]}' names no row, or several"
+    ):
+        dsse.estimate("ieee33", readings=frame)
+
+
+def test_what_is_masked_is_no_reading(found: dsse.Estimate):
+    arrays = {meter: np.ma.array([value, 0.9 * value]) for meter, value in by_meter(found).items()}
+    arrays["p_flow@6:6-7"][1] = np.ma.masked
+    assert (np.diff(dsse.estimate("ieee33", readings=arrays).scans.readings)).tolist() == [-1]
+    columns = {name: found.meters[name] for name in found.meters.columns if name not in {"time", "scan"}}
+    hidden = np.ma.array(columns["value_kw"], mask=[meter == "p_flow@6:6-7" for meter in found.meters.meter])
+    fewer = dsse.estimate("ieee33", readings=columns | {"value_kw": hidden})
+    assert len(fewer.meters) == len(found.meters) - 1
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: dsse.sweep("ieee33", {"faults.loss": 0.3}), "'faults.loss': 0.3; give"),
+        (lambda: dsse.sweep("ieee33", {"faults.loss": "0:0.3:2"}), "a list of values"),
+        (lambda: dsse.sweep("ieee33", {("faults.loss", "faults.duplicate"): [0]}), "a key with commas"),
+        (lambda: dsse.sweep("ieee33", {"faults.loss": []}), "faults.loss has no value; give at least one"),
+        (lambda: dsse.sweep("ieee33", {"faults.loss": [0.3]}, seeds=0), "0 seeds; give at least one"),
+        (lambda: dsse.compare("ieee33", strategies="admn"), "1 problem\n.*unknown strategy 'admn'"),
+        (lambda: dsse.estimate("ieee33", seed="7"), "seed: 1 problem\n  - must be an integer"),
+    ],
+)
+def test_a_mistake_in_a_study_is_one_clear_error(call: Callable[[], object], message: str):
+    with pytest.raises(dsse.InvalidInputError, match=message):
+        call()
 
 
 def test_changes_hold_in_a_run_and_are_refused_for_a_loaded_scenario(tmp_path: Path):
