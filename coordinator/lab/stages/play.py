@@ -19,6 +19,7 @@ from coordinator.watch.replay.scan_states import ScanStates
 from coordinator.watch.replay.ticks import Tick
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.measurement import Measurement
+from dsse_core.link_faults import LinkFaults
 from dsse_core.reading_rules import DEFAULT_RULES
 from scenarios.scenario import Scenario
 
@@ -84,7 +85,7 @@ OnScan = Callable[[Tick, Mapping[str, StateMessage]], None] | None
 
 def load_replay_areas(folder: Path, scenario: Scenario | None = None) -> list[Configuration]:
     """The area files of the recording at ``folder``, or of ``scenario`` if given, changed for a replay: default rules
-    for readings, no clock error, no interval of scans.
+    for readings, no clock error, no interval of scans, no cuts of links, whose times are those of the recorded run.
 
     Raises:
         InvalidInputError: ``folder`` is no recording, or has no area files and no scenario is given.
@@ -94,8 +95,12 @@ def load_replay_areas(folder: Path, scenario: Scenario | None = None) -> list[Co
     if not files:
         problem = "was recorded without its area files; give the scenario of the split: dsse replay FOLDER SCENARIO"
         raise InvalidInputError(str(folder), [problem])
-    made = [replace(c, readings=DEFAULT_RULES, clock_error_s=0.0, scan_s=None) for c in files]
+    made = [replace(c, readings=DEFAULT_RULES, clock_error_s=0.0, scan_s=None, links=_uncut(c.links)) for c in files]
     return stamp_split(made, time.time())
+
+
+def _uncut(links: Mapping[str, LinkFaults]) -> dict[str, LinkFaults]:
+    return {neighbour: replace(faults, cuts=()) for neighbour, faults in links.items()}
 
 
 def play_on_simulator(

@@ -185,11 +185,11 @@ def format_replay(found: Comparison, where: str, wall_s: float) -> str:
     scans = f"{found.scans} of {found.scans + len(found.left_out)} scans" if found.left_out else f"{found.scans} scans"
     lines = [f"{scans} played on {where} in {wall_s:.1f} s, {found.compared} good states compared"]
     played = "" if found.is_whole else " of the scans that were played"
-    if not found.compared:
+    if not found.compared and not found.missing:
         lines.append("no good state is recorded of them, so that nothing was compared")
     elif found.agrees and not found.unequal:
         lines.append(f"all states{played} are those that were recorded, to the bit")
-    else:
+    elif found.compared:
         words = f"within {TOLERANCE:g}" if found.agrees else "DIFFERENT"
         lines.append(f"{words} p.u. and rad: {_describe(found.largest)}")
     if found.not_good:

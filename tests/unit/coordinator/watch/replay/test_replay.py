@@ -6,13 +6,14 @@ from pathlib import Path
 
 import pytest
 
+from coordinator.lab.simulator.simulate import simulate_scenario
 from coordinator.lab.stages.play import play_on_simulator
 from coordinator.watch.recording.closing import close_ended
 from coordinator.watch.recording.folder import LOGS, begin_writing, list_segments, table_of
 from coordinator.watch.recording.frames import MARK
 from coordinator.watch.recording.recorder import Recorder
 from coordinator.watch.recording.segment_log import SegmentLog
-from coordinator.watch.replay.replay import format_replay
+from coordinator.watch.replay.replay import Comparison, format_replay
 from coordinator.watch.replay.ticks import read_ticks
 from dsse_core.errors import InvalidInputError
 from scenarios.scenario import load_scenario
@@ -47,6 +48,19 @@ def test_readings_that_had_aged_are_played_as_they_were_used(tmp_path: Path) -> 
     found = play_on_simulator(folder)
     assert (found.scans, found.unequal) == (5, 0)
     assert found.agrees
+
+
+def test_the_cut_of_a_link_in_the_recorded_run_does_not_keep_a_scan_from_coming_out_again(tmp_path: Path) -> None:
+    recorded = simulate_scenario(load_scenario("ieee33-cut", changes={"record": {}}), tmp_path)
+    assert recorded.verdict.consensus
+    found = play_on_simulator(tmp_path / "recording")
+    assert (found.compared, found.missing, found.agrees) == (3, [], True)
+
+
+def test_good_states_that_are_missing_are_not_called_absent_from_the_record() -> None:
+    text = format_replay(Comparison(scans=1, missing=[(1, "area1")]), "the simulator", 1.0)
+    assert "no good state is recorded" not in text
+    assert "not found again: area1 in 1" in text
 
 
 def test_states_that_do_not_come_out_again_are_seen(tmp_path: Path) -> None:
