@@ -36,6 +36,7 @@ LASTS_S = 45  # of the simulation, with a scan each second
 SHOWN_AT_S = 12.0  # of the simulation, when the page opens
 SETTLED_MS = 6000  # until histories and all parts of the page are there
 SIZE = {"width": 1280, "height": 900}
+INKS = ["--good", "--degraded", "--bad", "--mark"]  # of the page, also where they are rare
 COLOURS = 48  # of a picture, for small files
 WHOLE = "before => document.body.dataset.moment !== before"  # all parts of the page are of one moment
 RATING_MVA = 4.0  # of the first branch of the overloaded feeder
@@ -125,7 +126,8 @@ def take_picture(page: Any, name: str) -> Path:
         shown = np.asarray(picture.convert("RGB")).astype(int)
     found, place, count = np.unique(shown.reshape(-1, 3), axis=0, return_inverse=True, return_counts=True)
     steps = page.eval_on_selector_all("#voltages rect", "steps => steps.map(step => step.getAttribute('fill'))")
-    kept = np.vstack([found[np.argsort(-count)[:COLOURS]], [ImageColor.getrgb(step) for step in steps]])
+    inks = page.evaluate(f"{INKS}.map(ink => getComputedStyle(document.documentElement).getPropertyValue(ink).trim())")
+    kept = np.vstack([found[np.argsort(-count)[:COLOURS]], [ImageColor.getrgb(ink) for ink in (*steps, *inks)]])
     nearest = np.array([abs(kept - colour).sum(axis=1).argmin() for colour in found], dtype=np.uint8)
     painted = Image.fromarray(nearest[place].reshape(shown.shape[:2]), "P")
     painted.putpalette(kept.astype(np.uint8).tobytes())

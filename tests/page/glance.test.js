@@ -86,7 +86,7 @@ test("areas that are not good are effects unless a cause names them, and those l
   const causes = [{ kind: "gone", areas: ["a"], buses: [], branches: [], meters: [] }], areas = Object.fromEntries([..."abcde"].map((name) => [name, area(name === "a" ? "stale" : "degraded", [], ["behind a"])]));
   const { Areas } = tilesOf({ causes, view: { areas } });
   assert.equal(Areas.text, "5 of 5 not good; the worst 3, and 2 more.");
-  assert.deepEqual(Areas.offers.map(({ label }) => label), ["a: stale, at the cause", "b: degraded, an effect", "c: degraded, an effect"]);
+  assert.deepEqual(Areas.offers.map(({ label }) => label), ["a: stale, cause", "b: degraded, effect", "c: degraded, effect"]);
 });
 
 test("a dead link is named, and areas that are not good with their reason, the worst first", () => {

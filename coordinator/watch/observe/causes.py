@@ -63,7 +63,7 @@ WORDS = {
         ALARM,
         "rejection",
     ),
-    "file": Words("the area file of {area} {fault}", "{cure} ({detail})", ALARM, "wrong file"),
+    "file": Words("the area file of {area} {fault}", "{cure}", ALARM, "wrong file"),
     "gateway": Words(
         "the source of the readings (process `{process}`) is gone", "start `dsse {role}` again", ALARM, "no readings"
     ),
@@ -83,13 +83,13 @@ WORDS = {
         "the estimates of {area} and {other} disagree at bus {bus} by {difference}",
         "one of the two agents sends false values: look at both",
         ALARM,
-        "{difference} apart",
+        "bus {bus}: {difference} apart",
     ),
     "liar": Words(
         "the estimate of {area} disagrees with {others} at bus {bus} by {difference}",
         "the agent of {area} sends false values: look at it",
         ALARM,
-        "{difference} apart",
+        "bus {bus}: {difference} apart",
     ),
     "distrust": Words(
         "the agent of {area} does not believe {other}: {why}",
@@ -148,13 +148,13 @@ WORDS = {
         "no message has passed between the agents of {area} and {other}",
         "look at the network between their hosts",
         WARNING,
-        "no messages",
+        "{area}, {other}: no messages",
     ),
     "one-way link": Words(
         "the agent of {area} has received no message of {other}",
         "look at the network between their hosts",
         WARNING,
-        "no messages",
+        "{other} to {area}: no messages",
     ),
     "impostor": Words("another process sends in the name of {other}", "use keys", WARNING, "impostor"),
     "overdue": Words(
@@ -208,6 +208,8 @@ EXPLAINED = {
     "bad data": {"map", "many removed"},
 }
 """Kind of an effect -> the kinds of its possible causes."""
+OF_ENDS = ("mismatch", "liar")
+"""Kinds that are known at the end of an estimate only."""
 ITSELF = ("router", "gone", "left", "silent", "under way", "quality")
 """Kinds whose areas are the cause itself, and not an effect."""
 MOST_CAUSES, MOST_EFFECTS, MOST_NAMED, MOST_DESCRIBED = 8, 12, 4, 2
@@ -273,14 +275,22 @@ def write_lines(causes: Iterable[Cause]) -> Iterator[tuple[Cause, list[str]]]:
 
 
 class Onsets:
-    """Times since which several looks, one after the other, have seen the grid beyond a limit."""
+    """Memory of several looks, one after the other: since when the grid is beyond a limit, and disagreements of final
+    voltages, which hold while the next estimate is under way."""
 
     def __init__(self) -> None:
         self._since: dict[str, float] = {}
         self._at = -math.inf
+        self._ended: tuple[Cause, ...] = ()  # causes of the last estimate that has come to its end
 
-    def date(self, causes: Iterable[Cause], at: float) -> tuple[Cause, ...]:
+    def date(self, causes: Sequence[Cause], at: float) -> tuple[Cause, ...]:
         """``causes`` of the look at ``at``, those of the grid with the time of the first look that has found them."""
+        found = {cause.kind for cause in causes}
+        if "under way" in found and at >= self._at:
+            causes = [*self._ended, *(c for c in causes if c.kind != "under way" or not self._ended)]
+            causes.sort(key=lambda cause: KINDS.index(cause.kind))
+        else:
+            self._ended = tuple(cause for cause in causes if cause.kind in OF_ENDS)
         before = self._since if at >= self._at else {}  # a playback goes back
         self._since = {cause.kind: before.get(cause.kind, at) for cause in causes if cause.scope == "grid"}
         self._at = at

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from agents.protocol.quality import DEGRADED, GOOD, QUALITIES
+from agents.protocol.quality import DEGRADED, GOOD, QUALITIES, RELATIVE_ANGLE
 from coordinator.watch.interrupts import Held
 from coordinator.watch.observe.causes import ALARM, Cause, write_lines
 from coordinator.watch.observe.summary import Extent, Power, Summary
@@ -29,7 +29,7 @@ LONGEST_SENTENCE = 300  # characters; `dsse watch --json` has all sentences in f
 COLUMNS = (("area", 16), ("quality", 14), ("age s", 6), ("voltage p.u.", 12))
 LEAST_ROWS = 3  # of a table in a terminal with too few lines
 WIDEST = 160  # characters; longer lines are hard to read
-STYLES = {GOOD: "green", DEGRADED: "yellow"}  # every other quality is red
+STYLES = {GOOD: "green", DEGRADED: "yellow", RELATIVE_ANGLE: "yellow"}  # every other quality is red
 
 
 def format_view(

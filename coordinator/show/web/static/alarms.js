@@ -42,6 +42,11 @@ export function updateAlarms(before, causes, at, least) {
   return [...fresh, ...kept].slice(0, MOST_ALARMS);
 }
 
+/** @param {Alarm} alarm @returns {number} the lowest first: what lasts and is grave, what lasts, what is over, what is acknowledged */
+function rankOf({ acknowledged, over, severity }) {
+  return acknowledged ? 3 : over !== null ? 2 : severity === "warning" ? 1 : 0;
+}
+
 /** What the browser keeps of the alarms of a run; it may refuse, and what it kept may be anything. @param {string} run @returns {Alarm[]} */
 function read(run) {
   try {
@@ -88,7 +93,7 @@ export class Alarms {
     const open = alarms.filter(({ acknowledged }) => !acknowledged).length;
     byId("alarms-note").textContent = alarms.length ? `${open} not acknowledged.` : "None.";
     byId("acknowledge-all").hidden = open === 0;
-    const ordered = [...alarms].sort((one, other) => Number(one.acknowledged) - Number(other.acknowledged)), more = this.hasAll ? 0 : alarms.length - MOST_SHOWN;
+    const ordered = [...alarms].sort((one, other) => rankOf(one) - rankOf(other)), more = this.hasAll ? 0 : alarms.length - MOST_SHOWN;
     this.list.replaceChildren(...(more > 0 ? ordered.slice(0, MOST_SHOWN) : ordered).map((alarm) => this.describe(alarm, moment)), ...(more > 0 ? [this.offerAll(more)] : []));
   }
 

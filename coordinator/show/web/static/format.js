@@ -35,9 +35,9 @@ export function entryOf(said, name) {
   return Object.hasOwn(said, name) ? said[name] : undefined;
 }
 
-/** @param {string} quality @returns {string} class of its colour */
+/** @param {string} quality @returns {"good"|"degraded"|"bad"} class of its colour: amber while its numbers are of now */
 export function qualityClass(quality) {
-  return quality === GOOD ? "good" : quality === "degraded" ? "degraded" : "bad";
+  return quality === GOOD ? "good" : ["degraded", "relative-angle"].includes(quality) ? "degraded" : "bad";
 }
 
 /** @param {number | null | undefined} value @param {number} digits significant ones @returns {string} */

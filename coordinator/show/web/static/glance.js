@@ -113,17 +113,16 @@ function findLinks(moment) {
 /** @param {Moment} moment @returns {Tile} */
 function findAreas({ view, causes }) {
   const title = "Areas", areas = Object.entries(view.areas), rank = { bad: 0, degraded: 1, good: 2 };
-  const classOf = (/** @type {string} */ quality) => /** @type {"good"|"degraded"|"bad"} */ (qualityClass(quality));
   const poor = areas.filter(([, area]) => area.quality !== "good")
-    .sort(([, a], [, b]) => rank[classOf(a.quality)] - rank[classOf(b.quality)]);
+    .sort(([, a], [, b]) => rank[qualityClass(a.quality)] - rank[qualityClass(b.quality)]);
   const roleOf = (/** @type {string} */ id, /** @type {string[]} */ notes) => {
-    if (causes.length) return causes.some((cause) => cause.areas.includes(id)) ? ", at the cause" : ", an effect";
+    if (causes.length) return causes.some(({ severity, areas: named }) => severity === causes[0].severity && named.includes(id)) ? ", cause" : ", effect";
     return notes[0] ? `, ${shorten(notes[0], LONGEST_REASON)}` : "";
   };
   if (!areas.length) return { title, state: "bad", text: "Nobody is there.", offers: [] };
   if (!poor.length) return { title, state: "good", text: areas.length === 1 ? "The one area is good." : `All ${areas.length} are good.`, offers: [] };
   return {
-    title, state: classOf(poor[0][1].quality), text: `${poor.length} of ${areas.length} not good${poor.length > MOST_AREAS ? `; the worst ${MOST_AREAS}, and ${poor.length - MOST_AREAS} more` : ""}.`,
+    title, state: qualityClass(poor[0][1].quality), text: `${poor.length} of ${areas.length} not good${poor.length > MOST_AREAS ? `; the worst ${MOST_AREAS}, and ${poor.length - MOST_AREAS} more` : ""}.`,
     offers: poor.slice(0, MOST_AREAS).map(([id, area]) => ({ label: `${id}: ${area.quality}${roleOf(id, area.notes)}`, choice: { kind: "area", id } })),
   };
 }

@@ -1,7 +1,7 @@
 /** Paints the feeder: areas as regions, branches by loading, buses by voltage, dead links, messages. */
 
 import { gradeOf, placesOf } from "./cause.js";
-import { entryOf } from "./format.js";
+import { entryOf, qualityClass } from "./format.js";
 import { findShapes, keepApart, middle, nearest, placeBuses, stepOf, usualLength } from "./layout.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Painting} Painting @typedef {import("./types.js").Palette} Palette */
@@ -56,7 +56,7 @@ function paintAreas(canvas) {
   context.lineWidth = Math.min(SHADE_WIDTH, Math.max(4, canvas.spacing));
   const shades = shapes.map((shape, k) => {
     const quality = moment ? entryOf(moment.qualities, shape.name) ?? "none" : "good", isGood = quality === "good";
-    const ink = isGood ? palette.areas[k % palette.areas.length] : palette.colours[quality === "degraded" ? "--shade-degraded" : "--shade-bad"];
+    const ink = isGood ? palette.areas[k % palette.areas.length] : palette.colours[qualityClass(quality) === "degraded" ? "--shade-degraded" : "--shade-bad"];
     return { shape, ink, isGood };
   });
   for (const { shape, ink, isGood } of shades.sort((one, other) => Number(other.isGood) - Number(one.isGood))) {
@@ -95,11 +95,11 @@ function paintNames(canvas) {
     const x = Math.max(2, Math.min(width - wide - 2, left - wide / 2));
     return { text, quality, isFlag, x, y: Math.max(LABEL, top - (isFlag ? 20 : 16)), width: wide, height: LABEL };
   });
-  const rank = (/** @type {{quality: string, isFlag: boolean}} */ { quality, isFlag }) => (isFlag ? -1 : quality === "good" ? 2 : quality === "degraded" ? 1 : 0);
+  const rank = (/** @type {{quality: string, isFlag: boolean}} */ { quality, isFlag }) => (isFlag ? -1 : ["bad", "degraded", "good"].indexOf(qualityClass(quality)));
   labels.sort((a, b) => rank(a) - rank(b));
   for (const label of keepApart(labels, (box) => box)) {
     if (label.isFlag && cause) paintFlag(canvas, cause, label);
-    else write(canvas, label.text, label.x, label.y, label.quality === "good" ? "--good" : label.quality === "degraded" ? "--degraded" : "--bad");
+    else write(canvas, label.text, label.x, label.y, `--${qualityClass(label.quality)}`);
   }
 }
 
@@ -231,7 +231,7 @@ function paintLinks(canvas) {
   const { context, grid, moment, at, row, palette, width, height } = canvas;
   const boundary = new Map(grid.areas.flatMap((a) => a.neighbours.map((n) => [`${a.name} ${n.area}`, n.bus])));
   const find = (/** @type {string} */ receiver, /** @type {string} */ sender) => row.get(boundary.get(`${receiver} ${sender}`) ?? NaN);
-  context.strokeStyle = palette.colours["--bad"];
+  context.strokeStyle = palette.colours["--degraded"];
   context.lineWidth = 3;
   context.beginPath();
   for (const { receiver, sender } of moment?.dead ?? []) {
@@ -255,7 +255,7 @@ function paintLinks(canvas) {
     const [x, y] = at[place], left = Math.max(2, Math.min(width - wide - 2, x + 12));
     return [{ text, x: left, y: Math.min(height - 4, y + 34 + line * (LABEL + 2)), width: wide, height: LABEL }];
   });
-  for (const { text, x, y } of keepApart(labels, (box) => box)) write(canvas, text, x, y, "--bad");
+  for (const { text, x, y } of keepApart(labels, (box) => box)) write(canvas, text, x, y, "--degraded");
 }
 
 /** Dots on the way from one area to the other, those of one way beside each other. @param {Canvas} canvas */
@@ -308,7 +308,7 @@ function paintCause(canvas) {
   context.beginPath();
   for (const place of rows) traceBus(context, at[place], RINGED);
   context.stroke();
-  const text = `${kind === "meter" ? "" : `${kind} `}${ids[0]}: ${cause.mark}`.slice(0, LONGEST_LABEL);
+  const text = `${kind === "meter" ? `${ids[0]}: ` : cause.scope === "grid" ? `${kind} ${ids[0]}: ` : ""}${cause.mark}`.slice(0, LONGEST_LABEL);
   context.font = `600 ${LABEL - 1}px system-ui, sans-serif`;
   context.textAlign = "left";
   const wide = context.measureText(text).width, left = Math.max(8, Math.min(width - wide - 8, x - wide / 2)), top = Math.max(LABEL + 2, y - 38);

@@ -15,7 +15,7 @@ from agents.messages.packing import Incarnation
 from agents.peers.clock_skew import Skew
 from agents.protocol import quality
 from consensus_dsse import simulate
-from coordinator.watch.observe.causes import KINDS, WORDS, Onsets, find_causes, write_lines
+from coordinator.watch.observe.causes import KINDS, WORDS, Cause, Onsets, find_causes, write_lines
 from coordinator.watch.observe.notes import read_notes
 from coordinator.watch.observe.view import View
 from coordinator.watch.observe.view_text import fit_view, format_view
@@ -117,6 +117,21 @@ def test_a_limit_is_exceeded_since_the_first_of_the_looks_that_have_seen_it_so(t
     looks = [((), 0.0), ((cause,), 3.0), ((cause,), 5.0), ((), 6.0), ((cause,), 7.0), ((cause,), 4.0)]
     assert [[found.since for found in onsets.date(*look)] for look in looks] == [[], [3.0], [3.0], [], [7.0], [4.0]]
     assert ", seen since 3.0 s: " in str(replace(cause, since=3.0))
+
+
+def test_areas_that_disagree_are_named_until_the_next_estimate_has_come_to_its_end():
+    mismatch, under_way, meter = (Cause(kind, kind, "", "alarm") for kind in ("mismatch", "under way", "bad data"))
+    looks = [(under_way,), (mismatch,), (under_way, meter), (mismatch, meter), (under_way,), (meter,), (under_way,)]
+    onsets = Onsets()
+    assert [[cause.kind for cause in onsets.date(look, at)] for at, look in enumerate(looks)] == [
+        ["under way"],
+        ["mismatch"],
+        ["mismatch", "bad data"],
+        ["mismatch", "bad data"],
+        ["mismatch"],
+        ["bad data"],
+        ["under way"],
+    ]
 
 
 def test_a_remark_tells_states_of_the_grid_from_faults_of_the_data_and_is_said_once(tmp_path: Path):
