@@ -13,7 +13,7 @@ import msgspec
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Header, Incarnation, ReadingsMessage, StateMessage
-from agents.protocol.quality import GOOD, NONE
+from agents.protocol.quality import DEGRADED, GOOD, NONE
 from coordinator.watch.replay.recorded_messages import Presence, Timed, find_begin
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import LARGEST_JSON, read_text
@@ -28,6 +28,7 @@ SENDER = Incarnation(1, 1)
 BUSES = "buses.csv"
 OF_BUSES = ("vm_pu", "va_deg", "sigma_vm_pu", "sigma_va_deg")
 OF_METERS = ("value", "sigma", "estimate")  # columns with the unit in their names
+BAD_DATA_LEFT = "bad data are left: J exceeds its limit, and no meter stands out"
 
 Voltages = tuple[float, float, float, float]
 """OF_BUSES of a bus; nan where not known."""
@@ -177,9 +178,11 @@ def _read_scans(folder: Path) -> dict[str, _Scan]:
             of.quality[row.text("area")] = row.text("quality")
             of.age_s[row.text("area")] = row.number("value_age_s")
     if (path := folder / "scans.csv").exists():
-        for row in _Rows(path, ("scan", "reason", "objective", "degrees_of_freedom")):
+        for row in _Rows(path, ("scan", "reason", "objective", "degrees_of_freedom", "bad_data_left")):
             if (of := scans.get(row.text("scan"))) is not None:
                 of.reason = row.text("reason")
+                if row.text("bad_data_left") == "true":
+                    of.notes = {area: (BAD_DATA_LEFT,) for area, quality in of.quality.items() if quality == DEGRADED}
                 of.objective, freedom = (row.number(name) for name in ("objective", "degrees_of_freedom"))
                 of.objective = 0.0 if math.isnan(of.objective) else of.objective
                 of.degrees_of_freedom = 0 if math.isnan(freedom) else int(freedom)

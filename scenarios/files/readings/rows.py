@@ -59,7 +59,8 @@ class ReadingRows:
                 )
                 return
             self.keys = ["meter", SCAN]
-        allowed = [*self.keys, *(f"{column}_{unit}" for unit in UNITS for column in ("value", "sigma"))]
+        keys = ["meter", SCAN] if self.takes_scans else ["meter"]
+        allowed = [*keys, *(f"{column}_{unit}" for unit in UNITS for column in ("value", "sigma"))]
         if len(header) == 1 and (other := next((mark for mark in OTHER_SEPARATORS if mark in header[0]), "")):
             yield f"the columns are separated by {other!r}; separate them by ','"
             return
@@ -73,8 +74,9 @@ class ReadingRows:
         expected = [*self.keys, *(f"{column}_{unit}" for unit in self.units for column in ("value", "sigma"))]
         is_sound = list(header) == expected and len(set(header)) == len(header) and self.units
         if header and header[0] == "meter" and not (unknown or is_sound):
+            before = " and, of many scans, ".join(map(repr, keys))
             yield (
-                f"after {self.keys[-1]!r} come pairs value_UNIT,sigma_UNIT of one unit, each unit once; found "
+                f"after {before} come pairs value_UNIT,sigma_UNIT of one unit, each unit once; found "
                 + ",".join(header)[:200]
             )
 

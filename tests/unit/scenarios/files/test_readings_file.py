@@ -24,7 +24,7 @@ from dsse_core.results.results import results_of_estimate
 from scenarios.check import check_scenario
 from scenarios.files.network_file import load_case
 from scenarios.files.readings.columns import read_sound_columns
-from scenarios.files.readings.file import load_readings, save_readings
+from scenarios.files.readings.file import load_readings, read_scans, save_readings
 from scenarios.files.readings.rows import ReadingRows
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry, read_meters
@@ -419,3 +419,17 @@ def test_a_dead_voltmeter_is_no_mistake_of_the_file(tmp_path: Path):
     path = tmp_path / "readings.csv"
     path.write_text("meter,value_pu,sigma_pu\nvm@1,0,0.01\n")
     assert load_readings(path, NETWORK)[0].value == 0.0
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        ("meter,time,value_pu,sigma_pu", "unknown column 'time'; allowed: meter, scan, value_pu"),
+        ("scan,meter,value_pu,sigma_pu", "the first column must be 'meter', found 'scan'"),
+        ("meter,value_pu,sigma_pu,scan", "after 'meter' and, of many scans, 'scan' come pairs"),
+    ],
+)
+def test_a_header_of_many_scans_in_another_order_is_one_problem_that_says_where_scan_stands(header: str, words: str):
+    with pytest.raises(InvalidInputError, match="1 problem") as caught:
+        read_scans(f"{header}\nvm@1,a,1,0.01\n", "readings", NETWORK)
+    assert words in str(caught.value)

@@ -88,6 +88,16 @@ def test_a_scan_without_an_estimate_shows_its_reason_and_no_numbers(folder: Path
     assert not [value for value in moment["buses"].get("vm_pu", []) if value is not None]
 
 
+def test_a_scan_in_which_bad_data_are_left_says_so_in_all_areas(folder: Path, tables: ScanTables) -> None:
+    for name, old, new in [("areas", ",good", ",degraded"), ("scans", ",false,", ",true,")]:
+        path = folder / f"{name}.csv"
+        path.write_text(path.read_text().replace(old, new))
+    moment = client(play_recording(folder, SCENARIO, [])).get("/api/frame/0").json()
+    notes = [area["notes"] for area in moment["view"]["areas"].values()]
+    assert notes == [["bad data are left: J exceeds its limit, and no meter stands out"]] * 3
+    assert "no reason is stated" not in str(moment["causes"])
+
+
 def test_scans_without_times_are_a_second_apart(tmp_path: Path) -> None:
     write_tables(tmp_path, estimate(("first", "second", "third")))
     assert client(play_recording(tmp_path, SCENARIO, [])).get("/api/frames").json()["times"] == [0.0, 1.0, 2.0]
