@@ -91,7 +91,9 @@ class SilentAreas:
             age_s = self._watcher.age_of(area, now)
             quality, notes = assess_from_outside(state, f"has sent nothing for {age_s:.1f} s")
             telemetry_age, oldest = state.telemetry_age + age_s, state.oldest_reading + age_s
-            yield replace(state, quality=quality, notes=notes, telemetry_age=telemetry_age, oldest_reading=oldest)
+            header = replace(state.header, time=state.header.time + age_s)  # at which the ages hold
+            stale = replace(state, header=header, quality=quality, notes=notes)
+            yield replace(stale, telemetry_age=telemetry_age, oldest_reading=oldest)
 
 
 @dataclass

@@ -192,7 +192,8 @@ def _list_areas(view: View, watcher: Watcher) -> Iterator[Metric]:
             counters[name].add_metric([area.name], number)
         for reason, count in sorted(area.rejected.items()):
             rejected.add_metric([area.name, reason], count)
-        for name, numbers in (("neighbour_age_seconds", area.ages_s), ("clock_skew_seconds", state.clock_skews)):
+        skews = state.clock_skews if area.present and not area.silent else {}  # which have no age
+        for name, numbers in (("neighbour_age_seconds", area.ages_s), ("clock_skew_seconds", skews)):
             for neighbour, number in sorted(numbers.items()):
                 by_neighbour[name].add_metric([area.name, neighbour], number)
     yield from (*gauges.values(), quality, *counters.values(), rejected, *by_neighbour.values())

@@ -87,6 +87,7 @@ def test_of_an_area_that_falls_silent_one_more_result_says_that_its_numbers_are_
     result = make_result(areas, last)
     assert (result["quality"], result["notes"][0]) == ("stale", "has sent nothing for 5.0 s")
     assert {(row["fresh"], row["value_age_s"]) for row in result["buses"]} == {(False, 5.1)}
+    assert result["time"] == state.header.time + 5.0
     assert not [*silent.find(9.0)]
     silent.take(replace(state, header=replace(state.header, sequence=2)), 10.0)
     assert not [*silent.find(11.0)]

@@ -133,12 +133,14 @@ def test_with_a_scenario_powers_and_loadings_are_there_beside_its_limits():
 
 def test_all_ages_grow_while_an_area_is_silent():
     watcher = Watcher("run")
-    watcher.take_state(a_state(telemetry_age=2.0, ages={"area2": 3.0}, oldest_reading=61.0), 0.0)
+    ages_s = {"telemetry_age": 2.0, "ages": {"area2": 3.0}, "oldest_reading": 61.0}
+    watcher.take_state(a_state(**ages_s, clock_skews={"area2": 3.1}), 0.0)
     collector = RunCollector()
     collector.sight = Sight(5.0, watcher.look(5.0), watcher, "")
     found = {sample.name: sample.value for metric in collector.collect() for sample in metric.samples}
     ages = {"state_age": 5.0, "telemetry_age": 7.0, "neighbour_age": 8.0, "oldest_reading": 66.0}
     assert {name: found[f"dsse_area_{name}_seconds"] for name in ages} == ages
+    assert "dsse_area_clock_skew_seconds" not in found  # it has no age
 
 
 @pytest.mark.parametrize(
