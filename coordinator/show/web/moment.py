@@ -109,12 +109,13 @@ def _find_changes(before: AreaView | None, area: AreaView) -> Iterable[tuple[str
 class Moments:
     """Makes moments from the messages that a watcher has received, and keeps their past.
 
-    ``known``: the grid, if its scenario is known.
+    ``known``: the grid, if its scenario is known. ``onsets``: of the looks before; without them, as for a single
+    moment, the time since when the grid is beyond a limit is not known.
     """
 
-    def __init__(self, known: GridTables | None) -> None:
+    def __init__(self, known: GridTables | None, onsets: Onsets | None = None) -> None:
         self.known = known
-        self.onsets = Onsets()
+        self.onsets = onsets
         self.history = History()
         self.events = Events()
         self.tables = Tables(list_buses({}, {}), None, collect_readings({}, {}, {}))  # of the last moment
@@ -143,8 +144,9 @@ class Moments:
         links = find_links(view)
         self._note(at, view, links, lambda: tables)
         self.tables, summary = tables, summarise(tables, self.known)
+        causes = find_causes(view, at, summary)
         return {
-            "causes": describe_causes(self.onsets.date(find_causes(view, at, summary), at)),
+            "causes": describe_causes(self.onsets.date(causes, at) if self.onsets else causes),
             "at": at,
             "view": describe_view(view),
             "summary": describe_summary(summary),

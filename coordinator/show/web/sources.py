@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from coordinator.show.web.drawing import Drawing, draw_scenario, draw_states, encode_drawing
 from coordinator.show.web.moment import Moments, encode_json
+from coordinator.watch.observe.causes import Onsets
 from coordinator.watch.observe.grid_tables import GridTables, Tables
 from coordinator.watch.observe.watcher import Watcher
 
@@ -94,7 +95,7 @@ class LiveSource:
 
     def __init__(self, look: Look, known: GridTables | None, run: str) -> None:
         self._look, self._known, self._run = look, known, run
-        self._moments = Moments(known)
+        self._moments = Moments(known, Onsets())
         self._lock = threading.Lock()  # of the history
         self._newest = Frame(0, encode_json({"number": 0, "mode": self.mode, "time": time.time()}))
         self._drawn: object = None  # buses and neighbours that the drawing shows

@@ -120,3 +120,12 @@ def test_a_message_is_shown_from_when_it_is_sent_until_it_has_arrived():
     assert [at for at, kinds in seen.items() if "slow" in kinds] == [at for at in seen if 0.5 <= at <= 7.5]
     assert [at for at, kinds in seen.items() if "lost" in kinds] == [1.5]
     assert [at for at, kinds in seen.items() if "fast" in kinds] == [2.5, 2.75]
+
+
+def test_a_moment_of_a_play_does_not_say_since_when_a_limit_is_exceeded():
+    numbers = {"buses": (1,), "vm": (0.5,), "va": (0.0,), "sigma_vm": (0.1,), "sigma_va": (0.1,)}
+    state = published_by("area2", Incarnation(1, 1), **numbers)
+    play = Play(run="run", updates=[(0.0, Presence(TOKEN, True)), (1.0, state), (2.0, state)])
+    moments = [json.loads(PlaybackSource(play, None).frame(k)) for k in (1, 2)]
+    found = [[cause["since"] for cause in m["causes"] if cause["kind"] == "low voltage"] for m in moments]
+    assert found == [[None], [None]]
