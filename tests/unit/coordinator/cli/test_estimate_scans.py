@@ -192,7 +192,10 @@ def test_readings_without_scans_are_one_scan_with_all_tables(tmp_path: Path, dss
             "meter,scan,value_pu,sigma_pu\nvm@1,a,1,0.01\nvm@1,b,1,0.01\nvm@1,a,1,0.01\n",
             "line 4: meter vm@1 has a reading of scan 'a' in line 2 already",
         ),
-        ("meter,value_pu,scan,sigma_pu\nvm@1,1,a,0.01\n", "line 1: unknown column 'scan'"),
+        (
+            "meter,value_pu,scan,sigma_pu\nvm@1,1,a,0.01\n",
+            "line 1: after 'meter' and, of many scans, 'scan' come pairs",
+        ),
         ("meter,scan,value_pu,sigma_pu\n", "there is no reading"),
     ],
 )
