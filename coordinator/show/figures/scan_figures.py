@@ -113,19 +113,22 @@ def _describe_voltages(course: Course) -> str:
         words.append(f"{name}: {vm[row, k]:.4f} p.u. at bus {bus[k]}, scan {course.name_of(int(row))}.")
     beyond = int(((vm < limits.lowest_vm) | (vm > limits.highest_vm)).any(axis=1).sum())
     words.append(f"{beyond} of {len(vm)} scans have a bus beyond {limits.lowest_vm:g} or {limits.highest_vm:g} p.u.")
+    if partly := int(np.isnan(vm).any(axis=1).sum()):
+        words.append(f"In {partly} scans not all buses are known.")
     return " ".join(words)
 
 
 def _draw_bands(course: Course) -> Drawing:
     figure, (axis,) = new_figure(4.2)
     distance, x_label = find_distances(course.network)
-    known, limits = course.vm[~np.isnan(course.vm).all(axis=1)], course.scenario.operating_limits
-    if len(known):
+    seen, limits = ~np.isnan(course.vm).all(axis=0), course.scenario.operating_limits
+    known, distance = course.vm[:, seen], distance[seen]
+    if seen.any():
         large: dict[str, Any] = {"rasterized": len(distance) > MAX_VECTOR}
         for (low, high), width, label in ((OUTER, 1.0, "all scans"), (INNER, 3.5, "nine of ten scans")):
-            ends = np.percentile(known, [low, high], axis=0)
+            ends = np.nanpercentile(known, [low, high], axis=0)
             axis.vlines(distance, *ends, color=BLUE, alpha=0.5, linewidth=width, label=label, **large)
-        middle = np.median(known, axis=0)
+        middle = np.nanmedian(known, axis=0)
         axis.plot(distance, middle, linestyle="none", marker="_", color=VERMILLION, label="median", **large)
     else:
         write_instead(axis, "no scan has an estimate")

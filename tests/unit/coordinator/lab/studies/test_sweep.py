@@ -81,7 +81,14 @@ def test_runs_that_the_table_has_are_not_run_again(tmp_path: Path, runs: list):
     assert [row for row in rows_in(tmp_path / "s") if row["seed"] != "3"] == first
     runs.clear()
     assert sweep(tmp_path / "s", seeds=3) == 0
+    (tmp_path / "s" / "sweep.csv").write_text((tmp_path / "s" / "sweep.csv").read_text().replace("\n0,", "\n0.00,"))
+    assert sweep(tmp_path / "s", seeds=3) == 0
     assert runs == []
+
+
+def test_a_number_written_in_two_ways_is_one_value():
+    with pytest.raises(InvalidInputError, match=r"faults.loss: 0 is given twice"):
+        make_plan("ieee33", [parse_vary("faults.loss=0,0.0")], ["information"], 1)
 
 
 @pytest.mark.slow
