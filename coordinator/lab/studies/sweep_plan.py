@@ -189,7 +189,9 @@ def number_of(text: str) -> float | None:
 
 
 def text_of(value: object) -> str:
-    """``value`` as the table of a sweep writes it."""
+    """``value`` as the table of a sweep writes it; equal numbers have one text, 0 and 0.0 too."""
+    if isinstance(value, float) and value.is_integer() and abs(value) < 2**53:
+        value = int(value)
     return value if isinstance(value, str) else json.dumps(value)
 
 

@@ -17,7 +17,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from coordinator.lab.studies.study_row import COLUMNS, StudyRow, describe_versions, from_cells, to_cells
-from coordinator.lab.studies.sweep_plan import Task, sorted_tasks
+from coordinator.lab.studies.sweep_plan import Task, sorted_tasks, text_of
 from coordinator.watch.run_folder import folder_error
 from dsse_core import operating_system
 from dsse_core.errors import InvalidInputError
@@ -25,6 +25,7 @@ from dsse_core.files.bounded_file import open_regular, read_text
 from dsse_core.files.bounded_parsing import parse_json
 from dsse_core.files.drafts import remove_leftovers, whole_file
 from dsse_core.files.whole_lines import WholeLines
+from scenarios.files.key_values import parse_value
 
 TABLE, SETTINGS = "sweep.csv", "sweep.json"
 ANOTHER = "choose another --out, or repeat the sweep as it was"
@@ -130,7 +131,8 @@ class SweepTable:
                         f"line {number} is a row of {row.versions}, scenario {row.scenario_sha256[:12]}, and here are "
                         f"{self._origin[0]}, scenario {self._origin[1][:12]}; {ANOTHER}"
                     )
-                self.rows[Task(tuple(cells[k] for k in firsts), row.strategy, row.seed)] = row
+                values = tuple(text_of(parse_value(cells[k])) for k in firsts)
+                self.rows[Task(values, row.strategy, row.seed)] = row
         if problems:
             raise InvalidInputError(str(self.path), problems)
 

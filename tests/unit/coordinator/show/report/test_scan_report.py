@@ -69,6 +69,16 @@ def test_figures_show_quantities_of_all_scans_and_a_gap_where_there_is_no_estima
     assert course.loss_kw[0] == pytest.approx(np.nansum(course.tables.branches.loss_kw[:37]), rel=1e-9)
 
 
+def test_a_bus_that_one_scan_lacks_keeps_its_band_and_is_not_taken_as_within_limits(course: Course) -> None:
+    vm = course.vm.copy()
+    vm[1, -1] = np.nan
+    partly = Course(SCENARIO, course.tables)
+    vars(partly)["vm"] = vm
+    voltages, profile, *_ = draw_scans(partly)
+    assert voltages.caption.endswith(" Not all buses are known in 2 of them.")
+    assert np.isfinite(profile.figure.axes[0].lines[0].get_ydata()).all()
+
+
 def test_the_axis_of_time_has_times_where_all_are_known() -> None:
     timed = make_course(("2026-11-26T10:00Z", "2026-11-26T10:15Z"))
     assert timed.has_times
