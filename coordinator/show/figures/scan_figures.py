@@ -114,7 +114,7 @@ def _describe_voltages(course: Course) -> str:
     beyond = int(((vm < limits.lowest_vm) | (vm > limits.highest_vm)).any(axis=1).sum())
     words.append(f"{beyond} of {len(vm)} scans have a bus beyond {limits.lowest_vm:g} or {limits.highest_vm:g} p.u.")
     if partly := int(np.isnan(vm).any(axis=1).sum()):
-        words.append(f"In {partly} scans not all buses are known.")
+        words.append(f"Not all buses are known in {partly} of them.")
     return " ".join(words)
 
 
