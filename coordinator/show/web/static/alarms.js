@@ -91,9 +91,9 @@ export class Alarms {
       if (moment.mode === "live") localStorage.setItem(PLACE, all);
     } catch {} // full, or not allowed: they are kept until the page is left
     const open = alarms.filter(({ acknowledged }) => !acknowledged).length;
-    byId("alarms-note").textContent = alarms.length ? `${open} not acknowledged.` : "None.";
     byId("acknowledge-all").hidden = open === 0;
     const ordered = [...alarms].sort((one, other) => rankOf(one) - rankOf(other)), more = this.hasAll ? 0 : alarms.length - MOST_SHOWN;
+    byId("alarms-note").textContent = alarms.length ? `${open} not acknowledged${more > 0 ? `, ${MOST_SHOWN} shown` : ""}.` : "None.";
     this.list.replaceChildren(...(more > 0 ? ordered.slice(0, MOST_SHOWN) : ordered).map((alarm) => this.describe(alarm, moment)), ...(more > 0 ? [this.offerAll(more)] : []));
   }
 
