@@ -303,7 +303,7 @@ def sweep(
             _report(plan, table, drawn, folder, formats)
     report = None if formats is None else folder / "report.html"
     looked_at = "" if report is None else f"\n{invite_to(report)}"
-    content = {"table": table.path, "report": report, "rows": list(map(asdict, table.rows.values()))}
+    content = {"table": table.path, "report": report, "rows": table.list_rows()}
     answer(as_json, content, printable(f"{len(table.rows)} runs in {table.path}") + looked_at)
 
 

@@ -12,12 +12,13 @@ import io
 import json
 import os
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from coordinator.lab.studies.study_row import COLUMNS, StudyRow, describe_versions, from_cells, to_cells
-from coordinator.lab.studies.sweep_plan import Task, sorted_tasks, text_of
+from coordinator.lab.studies.sweep_plan import Task, number_of, sorted_tasks, text_of
 from coordinator.watch.run_folder import folder_error
 from dsse_core import operating_system
 from dsse_core.errors import InvalidInputError
@@ -95,6 +96,15 @@ class SweepTable:
         """Adds the row of a run that has ended, and writes it to the file."""
         self.rows[task] = row
         self._lines.append(_write_line(self._cells(task)))
+
+    def list_rows(self) -> list[dict[str, Any]]:
+        """The rows with the values of their keys, numbers as such, as ``--json`` prints them."""
+        found = []
+        for task, row in self.rows.items():
+            values = [text if (number := number_of(text)) is None else number for text in task.values]
+            of_keys = {key: value for keys, value in zip(self._keys, values, strict=True) for key in keys}
+            found.append(of_keys | asdict(row))
+        return found
 
     def _cells(self, task: Task) -> list[str]:
         of_keys = [text for keys, text in zip(self._keys, task.values, strict=True) for _ in keys]

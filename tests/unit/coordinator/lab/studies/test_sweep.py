@@ -258,7 +258,9 @@ def test_tied_keys_take_the_same_value_and_repeated_options_all_pairs():
     }
 
 
-def test_a_table_of_tied_and_crossed_keys_has_a_column_for_each_and_goes_on(tmp_path: Path, runs: list):
+def test_a_table_of_tied_and_crossed_keys_has_a_column_for_each_and_goes_on(
+    tmp_path: Path, runs: list, capsys: pytest.CaptureFixture[str]
+):
     vary = ["--vary", "faults.loss,faults.jitter_ms=0,0.5", "--vary", "run.beat_s=0.5,0.25"]
     base = ["industrial13", *vary, "--strategies", "information", "--quiet", "--format", "svg"]
     quantities = ["--quantity", "error_vm_pu", "--quantity", "messages"]
@@ -272,8 +274,13 @@ def test_a_table_of_tied_and_crossed_keys_has_a_column_for_each_and_goes_on(tmp_
     picture = (tmp_path / "s" / "sweep.svg").read_text(encoding="utf-8")
     assert all(text in picture for text in ("run.beat_s = 0.25", "error to the truth, magnitude (p.u.)", "messages"))
     runs.clear()
-    assert sweep(tmp_path / "s", *quantities, seeds=1, base=base) == 0
+    capsys.readouterr()
+    assert sweep(tmp_path / "s", *quantities, "--json", seeds=1, base=base) == 0
     assert runs == []
+    printed = json.loads(capsys.readouterr().out)["rows"]
+    assert list(printed[0]) == list(rows[0])
+    for row, written in zip(printed, rows, strict=True):
+        assert [row[key] for key in list(row)[:3]] == [float(written[key]) for key in list(row)[:3]]
 
 
 def test_a_quantity_that_no_run_has_is_one_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
