@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
+
+from dsse_core.files.bounded_parsing import parse_json
 
 NAME = "consensus-dsse"
 ROOT = Path(__file__).parents[2]  # of a checkout that runs without being installed
@@ -31,7 +32,7 @@ def _find_origin(extra: str) -> list[str]:
         return [f"{ROOT}{extra}"]
     if not found:
         return [NAME + extra]
-    origin = json.loads(found)
+    origin = parse_json(found)
     url = urlsplit(origin["url"])
     if url.scheme == "file":
         editable = ["--editable"] if origin.get("dir_info", {}).get("editable") else []

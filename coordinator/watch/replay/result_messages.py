@@ -17,6 +17,7 @@ from agents.protocol.quality import DEGRADED, GOOD, NONE
 from coordinator.watch.replay.recorded_messages import Presence, Timed, find_begin
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import LARGEST_JSON, read_text
+from dsse_core.files.bounded_parsing import parse_json
 from dsse_core.grid.measurement import Meter, Source
 from dsse_core.grid.partition import Area
 from dsse_core.results.meters import CRITICAL, REMOVED, UNITS, find_unit_sizes
@@ -204,8 +205,8 @@ def _read_notes(path: Path) -> dict[str, tuple[str, ...]]:
     if not path.is_file():
         return {}
     try:
-        content = msgspec.json.decode(read_text(path).encode(), type=_ResultOfRun)
-    except msgspec.DecodeError as error:
+        content = msgspec.convert(parse_json(read_text(path)), type=_ResultOfRun)
+    except ValueError as error:
         raise InvalidInputError(str(path), [f"{error}; give a folder that dsse has written"]) from None
     return {name: area.notes for name, area in content.areas.items()}
 

@@ -6,7 +6,6 @@ open switches and takes unsupplied buses out; the result are MATPOWER's matrices
 
 from __future__ import annotations
 
-import json
 import math
 import warnings
 from collections.abc import Collection, Iterator
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.bounded_parsing import parse_json
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.printable import listed, on_one_line
 from scenarios.files.network_columns import default_branch_id
@@ -181,9 +181,9 @@ def _build_bus(net: Any, row: Any, bus_id: int, base: float) -> Bus:
 def _read_place(geo: object) -> tuple[float, float] | tuple[None, None]:
     """The place of a bus from its GeoJSON point; None where it has none."""
     try:
-        x, y = json.loads(str(geo))["coordinates"][:2]
+        x, y = parse_json(str(geo))["coordinates"][:2]
         place = float(x), float(y)
-    except (ValueError, TypeError, KeyError, RecursionError):
+    except (ValueError, TypeError, KeyError):
         return None, None
     return place if all(map(math.isfinite, place)) else (None, None)
 

@@ -34,7 +34,7 @@ def run_limited(folder: Path, limit: int, value: int, *arguments: str) -> subpro
 
 def test_a_run_whose_events_no_longer_fit_on_the_disk_still_ends_with_its_verdict(tmp_path: Path):
     many_events = ("--strategy", "admm", "--set", "faults.delay_ms=10", "--set", "faults.jitter_ms=300")
-    done = run_limited(tmp_path, resource.RLIMIT_FSIZE, 8000, "industrial13", "--out", "out", *many_events)
+    done = run_limited(tmp_path, resource.RLIMIT_FSIZE, 9500, "industrial13", "--out", "out", *many_events)
     assert done.returncode == 2
     assert done.stdout.startswith("consensus after ")
     assert "error: files of the run are missing: out/events.jsonl: File too large; make room there" in done.stderr
