@@ -361,11 +361,16 @@ class _Findings:
 
     @cached_property
     def unreachable(self) -> tuple[AreaView, ...]:
-        """The areas to which the way is lost: none is there, and none has said why, or this watcher has no link."""
+        """The areas to which the way is lost: none is there, and none has said why, or this watcher has no link.
+
+        A gateway that is there, or was after the last sign of the areas, proves that there is a way.
+        """
         silent = [area for area in self.view.areas if area.present and area.silent]
         gone = [area for area in self.view.areas if not area.present and not area.leave_reason]
         lost = [area for area in (*silent, *gone) if area.age_s is not None]
-        has_others = any(other.partition(" ")[0] in GATEWAYS for other in self.view.others)
+        last = max((self.view.now - area.age_s for area in lost if area.age_s is not None), default=math.inf)
+        later = [other for other, since in self.view.gone.items() if since is not None and since > last + OVER_S]
+        has_others = any(other.partition(" ")[0] in GATEWAYS for other in (*self.view.others, *later))
         is_seen = len(silent) > 1 or (len(lost) > 1 and not silent and not has_others)
         return tuple(lost) if not self.view.is_linked or (is_seen and not self.there) else ()
 

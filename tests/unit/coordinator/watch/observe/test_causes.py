@@ -181,6 +181,17 @@ def test_an_area_that_was_gone_before_the_router_is_named_beside_it():
     ]
 
 
+def test_areas_that_were_gone_before_the_plant_are_not_taken_for_a_dead_router():
+    feeder = Feeder({})
+    feeder.bus.run(4.0)
+    for area in ("area1", "area2", "area3"):
+        feeder.bus.kill(area)
+    feeder.bus.run(10.0)
+    feeder.end_plant()
+    feeder.bus.run(1.0)
+    assert [(cause.kind, cause.since) for cause in feeder.find_causes()][:3] == [("gone", 4.0)] * 3
+
+
 def test_a_watcher_without_link_says_so_and_nothing_of_the_areas(tmp_path: Path):
     feeder = run_with({}, tmp_path)
     feeder.watcher.is_linked = False
