@@ -19,7 +19,7 @@ from tests.support.waiting import DEADLINE_S, wait_until
 
 pytestmark = pytest.mark.slow
 LONG_MS = DEADLINE_S * 1000
-RED = 168, 7, 26  # --bad of the light style sheet
+AMBER = 122, 79, 0  # --degraded of the light style sheet: the cross at a boundary, names of areas that are degraded
 
 
 @pytest.fixture(autouse=True)
@@ -52,12 +52,12 @@ def linked_areas(dsse: Any, folder: Path) -> Iterator[LinkedAreas]:
         yield LinkedAreas(serve(system, scenario, "--direct", *everywhere), link)
 
 
-def count_red(page: Any) -> int:
-    """Pixels of the drawing in the colour of what is bad."""
+def count_amber(page: Any) -> int:
+    """Pixels of the drawing in the colour of warnings."""
     image = pytest.importorskip("PIL.Image")
     with image.open(io.BytesIO(page.locator("#drawing").screenshot())) as picture:
         colours = picture.convert("RGB").getcolors(maxcolors=picture.width * picture.height)
-    return sum(n for n, colour in colours if colour == RED)
+    return sum(n for n, colour in colours if colour == AMBER)
 
 
 def test_a_link_that_is_cut_and_restored_shows_in_drawing_table_and_events(dsse: Any, tmp_path: Path):
@@ -65,7 +65,7 @@ def test_a_link_that_is_cut_and_restored_shows_in_drawing_table_and_events(dsse:
         page.goto(areas.url)
         wait_until(lambda: page.locator("#areas .good").count() == 3)
         wait_until(lambda: cell_of(page, "area1", "Receives from") == "2 of 2")
-        wait_until(lambda: count_red(page) == 0)
+        wait_until(lambda: count_amber(page) == 0)
         page.locator("#areas button", has_text="area1").focus()
         page.keyboard.press("Enter")
 
@@ -75,7 +75,7 @@ def test_a_link_that_is_cut_and_restored_shows_in_drawing_table_and_events(dsse:
         wait_until(lambda: cell_of(page, "area1", "Receives from") == "1 of 2: nothing from area2")
         wait_until(lambda: cell_of(page, "area2", "Receives from") == "0 of 1: nothing from area1")
         page.wait_for_selector("#facts >> text=1 of 2: nothing from area2")
-        wait_until(lambda: count_red(page) > 0)
+        wait_until(lambda: count_amber(page) > 0)
         wait_until(lambda: cell_of(page, "area1", "Quality") == "degraded")
         wait_until(lambda: "area2" in cell_of(page, "area1", "Why"))
         wait_until(lambda: cell_of(page, "area2", "Quality") != "good")
@@ -89,7 +89,7 @@ def test_a_link_that_is_cut_and_restored_shows_in_drawing_table_and_events(dsse:
         page.wait_for_selector("#events >> text=area2 receives from area1 again", timeout=LONG_MS)
         wait_until(lambda: page.locator("#areas .good").count() == 3)
         wait_until(lambda: cell_of(page, "area1", "Receives from") == "2 of 2")
-        wait_until(lambda: count_red(page) == 0)
+        wait_until(lambda: count_amber(page) == 0)
 
 
 def test_a_lecture_sees_a_link_that_is_dead_from_the_begin_and_then_works(tmp_path: Path):
