@@ -125,6 +125,7 @@ def table_of(content: Configuration, all_of: Callable[[Any, Sequence[Any]], Any]
     meters.
     """
     area, network = content.area, content.area.network
+    network.check_balanced("an area file")
     slack = {"bus": area.slack_bus} | ({} if area.slack_vm is None else {"vm": area.slack_vm})
     return {
         **({"split": dataclasses.asdict(content.split)} if content.split else {}),

@@ -34,7 +34,7 @@ class Kind(StrEnum):
 DEGREE = {Kind.P: 2.0, Kind.Q: 2.0, Kind.VM: 1.0, Kind.VA: 0.0}
 """The power k for which a variable grows as c^k where all voltages grow by c."""
 D_SINGLE = 4
-"""The number of variables where areas meet at a single bus with one phase: y = (p, q, vm, va)."""
+"""The number of variables where areas meet at a single balanced bus: y = (p, q, vm, va)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +83,8 @@ class Boundary:
 
     @property
     def is_single(self) -> bool:
-        """True where the areas meet at a single bus with one phase."""
-        return self.d == 2 * self.n_powers == D_SINGLE
+        """True where the areas meet at a single bus of a balanced network."""
+        return self.d == 2 * self.n_powers == D_SINGLE and not self.variables[0].phase
 
     @cached_property
     def buses(self) -> tuple[int, ...]:
@@ -97,8 +97,8 @@ class Boundary:
         return np.array([of_kind[variable.kind] for variable in self.variables])
 
 
-def boundary_at(buses: Sequence[int], child: str) -> Boundary:
-    """The boundary where ``child`` and its parent meet at ``buses``, one phase each."""
+def boundary_at(buses: Sequence[int | str], child: str) -> Boundary:
+    """The boundary where ``child`` and its parent meet at ``buses``, such as 12, or "12.abc" of one with phases."""
     return boundary_of((*(f"s@{bus}>{child}" for bus in buses), *(f"v@{bus}" for bus in buses)))
 
 

@@ -6,6 +6,7 @@ import math
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,8 +14,12 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import find_no_load
 from dsse_core.grid.boundary import boundary_at, boundary_of
 from dsse_core.grid.columns import Records, split_by, take_items
+from dsse_core.grid.loads import Load
 from dsse_core.grid.network import Bus, Control, Generator, Network
+from dsse_core.grid.nodes import read_phases, write_phases
 from dsse_core.grid.partition import Area, Neighbour, Partition
+
+Supplied = TypeVar("Supplied", Generator, Load)
 
 SAME_VOLTAGE = 1e-9  # p.u. and rad, of an unloaded bus; rounding leaves 1e-13
 
@@ -33,7 +38,6 @@ def build_partition(
         InvalidInputError: listing every bus or branch in no area, area in pieces, unknown name, and the
             cycle if a ring passes through more than two areas.
     """
-    network.check_balanced("a division into areas")
     local_slack = local_slack or {}
     members = _find_members(network, area_buses)
     problems = _find_bus_problems(network, area_buses, members)
@@ -44,13 +48,14 @@ def build_partition(
         raise InvalidInputError(f"areas of network {network.name!r}", problems)
 
     assert network.slack is not None  # checked by _find_bus_problems
-    neighbours = _grow_tree(network, members)
+    neighbours = _grow_tree(network, members, branches)
     at_slack = {members.names[k] for k in members.find_areas(network.row[network.slack.bus])}
-    generators = _find_generators(network, members, neighbours)
+    generators = _split_by_owner(network, members, neighbours, network.generators)
+    loads = _split_by_owner(network, members, neighbours, network.loads)
     areas = []
     for name, rows, held in zip(members.names, members.rows, branches, strict=True):
         parent = next((n for n in neighbours[name] if n.is_parent), None)
-        part = _cut_out(network, name, rows, held, generators[name], _buses_at(parent))
+        part = _cut_out(network, name, rows, held, generators[name], loads[name], parent)
         bus, vm = local_slack.get(name) or _default_slack(part, parent)
         reference = (network.slack.bus, network.slack.va) if name in at_slack else None
         areas.append(Area(name, part, tuple(neighbours[name]), bus, vm, reference))
@@ -95,8 +100,8 @@ def _with_schedule(partition: Partition) -> Partition:
     network, towards = partition.network, _find_ways(partition, partition.hub)
     assert network.slack is not None  # checked by _find_bus_problems
     vm, va = find_no_load(network, network.slack.bus)
-    unloaded = {bus: (float(vm[row]), float(va[row]) + network.slack.va) for bus, row in network.row.items()}
-    table = network.table
+    va, table, first = va + network.slack.va, network.table, network.table.nodes.first
+    unloaded = {bus: (float(vm[node]), float(va[node])) for bus, node in zip(network.row, first.tolist(), strict=True)}
     has_loops = len(table.active) >= len(table.bus_id)
     may_differ = has_loops and bool((table.tap != 1.0).any() or (table.shift != 0.0).any())
     areas = []
@@ -107,8 +112,14 @@ def _with_schedule(partition: Partition) -> Partition:
             n_areas=len(partition.areas),
             entry_voltage=unloaded[area.entry_bus],
         )
-        given = scheduled.boundary_buses if may_differ and _is_apart(scheduled, unloaded) else ()
-        areas.append(replace(scheduled, no_load=tuple((bus, *unloaded[bus]) for bus in given)))
+        if table.nodes.is_balanced:
+            given = scheduled.boundary_buses if may_differ and _is_apart(scheduled, unloaded) else ()
+            no_load = tuple((bus, *unloaded[bus]) for bus in given)
+        else:
+            own, nodes = area.network.table, partition.rows_of_nodes[area.name]
+            of_nodes = own.bus_id[own.nodes.item].tolist(), vm[nodes].tolist(), va[nodes].tolist()
+            no_load = tuple(zip(*of_nodes, strict=True))
+        areas.append(replace(scheduled, no_load=no_load))
     return Partition(network, tuple(areas))
 
 
@@ -221,7 +232,7 @@ def _find_pieces(network: Network, members: _Members, area: np.ndarray, place: n
             yield f"area {name} is not connected by its own branches: it falls into buses {text}"
 
 
-def _grow_tree(network: Network, members: _Members) -> dict[str, list[Neighbour]]:
+def _grow_tree(network: Network, members: _Members, branches: Sequence[np.ndarray]) -> dict[str, list[Neighbour]]:
     """The neighbours of each area, by a walk from the substation over areas and boundary buses.
 
     An area and its parent may meet at several boundary buses. Any other second way to an area is a ring through more
@@ -259,15 +270,30 @@ def _grow_tree(network: Network, members: _Members) -> dict[str, list[Neighbour]
                     raise _loop_error(network, entered_by, name, other, bus)
                 met[other].append(bus)
     parents = {name: entry[1] for name, entry in entered_by.items() if entry}
-    return {name: [_meet(name, other, parents, met) for other in others] for name, others in order.items()}
+    names_of: dict[str, tuple[str, ...]] = {}  # child -> the variables that it shares with its parent
+    for child, held in zip(names, branches, strict=True):
+        phases = [_phases_of(network, held, bus) for bus in met[child]]
+        if len(phases) > 1 or any(phases):
+            places = [f"{bus}.{text}" if text else bus for bus, text in zip(met[child], phases, strict=True)]
+            names_of[child] = boundary_at(places, child).names
+
+    def meet(name: str, other: str) -> Neighbour:
+        """``other`` as the neighbour of area ``name``."""
+        is_parent = parents.get(name) == other
+        child = name if is_parent else other
+        return Neighbour(other, met[child][0], is_parent, names_of.get(child, ()))
+
+    return {name: [meet(name, other) for other in others] for name, others in order.items()}
 
 
-def _meet(name: str, other: str, parents: Mapping[str, str], met: Mapping[str, Sequence[int]]) -> Neighbour:
-    """``other`` as the neighbour of area ``name``."""
-    is_parent = parents.get(name) == other
-    child = name if is_parent else other
-    buses = met[child]
-    return Neighbour(other, buses[0], is_parent, boundary_at(buses, child).names if len(buses) > 1 else ())
+def _phases_of(network: Network, branches: np.ndarray, bus: int) -> str:
+    """The phases that ``branches``, by rows, have at ``bus``."""
+    if network.table.nodes.is_balanced:
+        return ""
+    ends = [(network.branches[row], network.table.primitives[row]) for row in branches.tolist()]
+    texts = [primitive.from_phases for branch, primitive in ends if branch.from_bus == bus]
+    texts += [primitive.to_phases for branch, primitive in ends if branch.to_bus == bus]
+    return write_phases(int(np.bitwise_or.reduce(read_phases(texts))))
 
 
 def _buses_at(parent: Neighbour | None) -> tuple[int, ...]:
@@ -303,16 +329,16 @@ def _loop_error(
     )
 
 
-def _find_generators(
-    network: Network, members: _Members, neighbours: Mapping[str, Sequence[Neighbour]]
-) -> dict[str, list[Generator]]:
-    """Area -> the generators at the buses that it owns."""
-    found: dict[str, list[Generator]] = {name: [] for name in members.names}
+def _split_by_owner(
+    network: Network, members: _Members, neighbours: Mapping[str, Sequence[Neighbour]], items: Sequence[Supplied]
+) -> dict[str, list[Supplied]]:
+    """Area -> those of ``items``, generators or loads, at the buses that it owns."""
+    found: dict[str, list[Supplied]] = {name: [] for name in members.names}
     not_owned = {name: {bus for n in of if n.is_parent for bus in _buses_at(n)} for name, of in neighbours.items()}
-    for generator in network.generators:
-        for area in members.find_areas(network.row[generator.bus]):
-            if generator.bus not in not_owned[name := members.names[area]]:
-                found[name].append(generator)
+    for item in items:
+        for area in members.find_areas(network.row[item.bus]):
+            if item.bus not in not_owned[name := members.names[area]]:
+                found[name].append(item)
     return found
 
 
@@ -322,23 +348,26 @@ def _cut_out(
     rows: np.ndarray,
     branches: np.ndarray,
     generators: Sequence[Generator],
-    not_owned: Sequence[int],
+    loads: Sequence[Load],
+    parent: Neighbour | None,
 ) -> Network:
     """The part of the network that area ``name`` knows, its buses and branches by rows; a bus not owned is bare."""
     buses = take_items(network.buses, rows)
-    for bus in not_owned:
-        buses = _bare(buses, int(np.searchsorted(rows, network.row[bus])))
-    return Network(name, network.base_mva, buses, take_items(network.branches, branches), tuple(generators))
+    for bus in _buses_at(parent):
+        place = int(np.searchsorted(rows, network.row[bus]))
+        buses = _bare(buses, place, _phases_of(network, branches, bus))
+    held = take_items(network.branches, branches)
+    return Network(name, network.base_mva, buses, held, tuple(generators), tuple(loads))
 
 
-def _bare(buses: Sequence[Bus], place: int) -> Sequence[Bus]:
-    """``buses``, the one at ``place`` without load and shunt."""
+def _bare(buses: Sequence[Bus], place: int, phases: str) -> Sequence[Bus]:
+    """``buses``, the one at ``place`` with ``phases`` only and without load and shunt."""
+    bare: dict[str, Any] = {"p_load": 0.0, "q_load": 0.0, "g_shunt": 0.0, "b_shunt": 0.0, "phases": phases}
     if isinstance(buses, Records):
-        for key in buses.columns.keys() & {"p_load", "q_load", "g_shunt", "b_shunt"}:
-            buses.columns[key][place] = 0.0
+        for key in buses.columns.keys() & bare.keys():
+            buses.columns[key][place] = bare[key]
         return buses
-    bare = replace(buses[place], p_load=0.0, q_load=0.0, g_shunt=0.0, b_shunt=0.0)
-    return (*buses[:place], bare, *buses[place + 1 :])
+    return (*buses[:place], replace(buses[place], **bare), *buses[place + 1 :])
 
 
 def _default_slack(part: Network, parent: Neighbour | None) -> tuple[int, float | None]:

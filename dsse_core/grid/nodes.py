@@ -26,6 +26,11 @@ def read_phases(texts: Iterable[str]) -> np.ndarray:
     return np.array([_read_set(text) for text in texts], dtype=np.int64)
 
 
+def write_phases(phases: int) -> str:
+    """The text of a set of phases, see ``read_phases``."""
+    return "".join(phase for k, phase in enumerate(PHASES) if phases >> k & 1)
+
+
 def list_phases(text: str) -> list[str]:
     """The phases of a text, such as ["a", "b"] of "ab", in its order; [""] of ""; empty where it is none."""
     found = re.findall(PHASE, text)
@@ -41,7 +46,7 @@ class PhaseRows:
     """Rows of the phases of items, item by item: of buses the nodes, of branch ends the ports.
 
     ``sets`` (n_item,): the phases of each item, see ``read_phases``. ``item``, ``phase`` (n,): the item and the place
-    in PHASES of each row.
+    in PHASES of each row. ``first`` (n_item,): the first row of each item.
     """
 
     def __init__(self, sets: np.ndarray) -> None:
@@ -50,7 +55,7 @@ class PhaseRows:
             self.item, self.phase = np.arange(len(sets)), np.zeros(len(sets), dtype=np.int64)
         else:
             self.item, self.phase = np.nonzero(sets[:, None] & _BIT)
-        self._first = self.item if self.is_balanced else np.searchsorted(self.item, np.arange(len(sets)))
+        self.first = self.item if self.is_balanced else np.searchsorted(self.item, np.arange(len(sets)))
 
     def __len__(self) -> int:
         return len(self.item)
@@ -62,11 +67,11 @@ class PhaseRows:
         bit = np.left_shift(1, phase)
         before = np.bitwise_count(self.sets[item] & (bit - 1))
         is_there = (item >= 0) & (self.sets[item] & bit != 0)
-        return np.where(is_there, self._first[item] + before, -1)
+        return np.where(is_there, self.first[item] + before, -1)
 
     def at(self, item: int) -> np.ndarray:
         """The rows of one item."""
-        first = int(self._first[item])
+        first = int(self.first[item])
         return np.arange(first, first + int(self.sets[item]).bit_count())
 
 

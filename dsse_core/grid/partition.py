@@ -28,7 +28,8 @@ MOST_SHOWN = 4  # names of areas in one line
 class Neighbour:
     """Another area met at boundary bus ``bus``, the first of several; ``is_parent`` if it lies towards the substation.
 
-    ``variables``: names of the variables that both areas share (``boundary.py``), where they meet at several buses.
+    ``variables``: names of the variables that both areas share (``boundary.py``), where they meet at several buses or
+    at phases.
     """
 
     area: str
@@ -42,12 +43,13 @@ class Area:
     """The knowledge that one area has of the grid: its own part of the network and its neighbours' names.
 
     ``network`` holds the area's buses and branches; load, shunt and generators of a boundary bus stand only in the
-    network of its owner. ``slack_bus`` is where the local power flow holds the voltage; ``slack_vm`` its set-point in
-    p.u., None when it is the voltage that the parent publishes for that bus. ``reference``: bus and angle (rad) of the
-    substation, in every area that sees it: its nodes have given angles. ``towards_hub``: the neighbour on the way to
-    the hub, None in the hub. ``n_areas``: number of areas of the grid. ``entry_voltage``: (vm, va), p.u. and rad, of
-    ``entry_bus`` in the unloaded grid. ``no_load``: (bus, vm, va) of the boundary buses in the unloaded grid, where
-    taps or shifts do not cancel around a loop: the area alone would find other voltages.
+    network of its owner. A child has there no other phases than its branches. ``slack_bus`` is where the local power
+    flow holds the voltage; ``slack_vm`` its set-point in p.u., None when it is the voltage that the parent publishes
+    for that bus. ``reference``: bus and angle (rad) of the substation, in every area that sees it: its nodes have given
+    angles. ``towards_hub``: the neighbour on the way to the hub, None in the hub. ``n_areas``: number of areas of the
+    grid. ``entry_voltage``: (vm, va), p.u. and rad, of ``entry_bus`` in the unloaded grid, of its first node.
+    ``no_load``: (bus, vm, va) of the boundary buses in the unloaded grid, where taps or shifts do not cancel around a
+    loop: the area alone would find other voltages. Of a network with phases all nodes, in their order.
     """
 
     name: str
@@ -90,7 +92,10 @@ class Area:
         }
 
     def find_no_load(self) -> tuple[np.ndarray, np.ndarray]:
-        """The area's voltages (vm, va) in the unloaded grid, (n_bus,), p.u. and rad."""
+        """The area's voltages (vm, va) in the unloaded grid, (n_nodes,), p.u. and rad."""
+        if not self.network.table.nodes.is_balanced:
+            _, vm, va = np.array(self.no_load).reshape(-1, 3).T
+            return vm, va
         held = {bus: vm for bus, vm, _ in self.no_load} | {self.entry_bus: self.entry_voltage[0]}
         angles = {bus: va for bus, _, va in self.no_load} | {self.entry_bus: self.entry_voltage[1]}
         return find_no_load(self.network, self.entry_bus, held, angles)
@@ -156,6 +161,13 @@ class Partition:
         """Area -> the rows in the whole network of the buses that it sees, in the area's order."""
         find = self.network.table.rows.find
         return {area.name: find(area.network.table.bus_id) for area in self.areas}
+
+    @cached_property
+    def rows_of_nodes(self) -> dict[str, np.ndarray]:
+        """Area -> the rows in the whole network of the nodes that it sees, in the area's order."""
+        nodes, of_buses = self.network.table.nodes, self.rows_of_buses
+        own = {area.name: area.network.table.nodes for area in self.areas}
+        return {name: nodes.find(of_buses[name][of_area.item], of_area.phase) for name, of_area in own.items()}
 
     @cached_property
     def rows_of_branches(self) -> dict[str, np.ndarray]:

@@ -20,18 +20,7 @@ from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.grid.nodes import Primitive
 from dsse_core.power_flow.newton_raphson import solve_power_flow
-
-Z = np.array([[0.0346 + 0.1018j, 0.0156 + 0.0502j, 0.0158 + 0.0424j]] * 3)  # of ieee13's configuration 601, p.u.
-Z = np.triu(Z, 1) + np.triu(Z, 1).T + np.diag([0.0346 + 0.1018j, 0.0337 + 0.1048j, 0.0341 + 0.1035j])
-
-
-def coupled_line(name: str, ends: tuple[int, int], phases: str, length: float = 1.0) -> Branch:
-    """A line of ``phases`` whose conductors are coupled, with some charging."""
-    chosen = ["abc".index(phase) for phase in phases]
-    yi, k = np.linalg.inv(length * Z[np.ix_(chosen, chosen)]), len(chosen)
-    charging = np.kron(np.eye(2), 1e-4j * (np.eye(k) - 0.1))
-    primitive = Primitive(phases, phases, np.kron([[1, -1], [-1, 1]], yi) + charging, charging)
-    return Branch(name, *ends, r=0.03 * length, x=0.1 * length, primitive=primitive)
+from tests.support.phases import DEEP, coupled_line, make_feeder
 
 
 @pytest.fixture
@@ -178,10 +167,9 @@ def test_a_meter_on_phases_that_are_not_there_is_refused_by_name(feeder: Network
         estimate_state(feeder, [Measurement(meter, 1.0, 0.01)])
 
 
-def test_power_flow_areas_and_the_compiled_tree_decline_phases_by_name(feeder: Network) -> None:
-    for call in (lambda: solve_power_flow(feeder), lambda: build_partition(feeder, {"all": [650, 632, 645]})):
-        with pytest.raises(InvalidInputError, match=r"its buses have phases; .* needs a balanced one"):
-            call()
+def test_power_flow_and_the_compiled_tree_decline_phases_by_name(feeder: Network) -> None:
+    with pytest.raises(InvalidInputError, match=r"its buses have phases; .* needs a balanced one"):
+        solve_power_flow(feeder)
     with pytest.raises(InvalidInputError, match="the radial back end cannot serve: buses have phases"):
         estimate_state(feeder, [], backend="radial")
 
@@ -279,3 +267,30 @@ def test_a_dead_voltmeter_of_a_phase_is_taken_out_and_rows_of_a_batch_have_all_n
     z[[m.id for m in meters].index("vm@632.c")] = 0.0
     report = process_bad_data(feeder, [Measurement(m, v, 0.01) for m, v in zip(meters, z.tolist(), strict=True)])
     assert [removed.measurement.meter.id for removed in report.removed] == ["vm@632.c"]
+
+
+def test_a_boundary_has_the_phases_of_the_childs_branches_and_the_child_no_others() -> None:
+    partition = build_partition(make_feeder(), DEEP)
+    names = {area.name: area.boundaries[area.parent.area].names for area in partition.areas if area.parent}
+    assert names == {
+        "two": ("s@632.bc>two", "v@632.bc"),
+        "west": ("s@671.ac>west", "v@671.ac"),
+        "east": ("s@671.abc>east", "v@671.abc"),
+        "one": ("s@684.c>one", "v@684.c"),
+        "bank": ("s@692.abc>bank", "v@692.abc"),
+    }
+    assert partition.area("west").network.bus(671).phases == "ac"
+    assert partition.area("head").network.bus(671).phases == "abc"
+    assert [load.bus for load in partition.area("two").network.loads] == [645, 646, 646]
+    assert sum(len(area.network.loads) for area in partition.areas) == len(partition.network.loads)
+    assert sum(area.n_unknown for area in partition.areas) == 2 * partition.network.n_nodes - 3
+
+
+def test_areas_begin_at_the_unloaded_voltages_of_the_whole_behind_regulators_and_delta_windings() -> None:
+    network = make_feeder()
+    vm, va = flat_start(network, 650)
+    assert np.degrees(va[network.nodes_at(675)]) == pytest.approx([30, -90, 150], abs=0.5)
+    partition = build_partition(network, DEEP)
+    for area in partition.areas:
+        rows = partition.rows_of_nodes[area.name]
+        assert np.array(area.find_no_load()).tolist() == [vm[rows].tolist(), va[rows].tolist()]
