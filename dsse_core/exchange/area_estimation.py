@@ -67,7 +67,8 @@ class AreaEstimation:
         self._start = self._start_of_term = self.x
         self.linearized_at, self._step = self.x, np.zeros_like(self.x)
         self._step_before = self._step
-        self._is_own = np.tile([bus.id not in area.not_owned for bus in area.network.buses], 2)  # of va, then of vm
+        of_nodes = area.network.table.bus_id[area.network.table.nodes.item]
+        self._is_own = np.tile(~np.isin(of_nodes, area.not_owned), 2)  # of va, then of vm
         self._worst: tuple[tuple[str, float], ...] = ()
         self._tied: tuple[tuple[str, float], ...] = ()
         self._uses_currents = False

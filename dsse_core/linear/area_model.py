@@ -8,11 +8,13 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
+from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.boundary import Kind
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Network
+from dsse_core.grid.nodes import list_phases
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear import Backend, LinearArea, Matrix, Rows, make_linear, make_rows
 from dsse_core.linear.area_measurements import NO_ROWS, AreaMeasurements
@@ -102,6 +104,9 @@ def build_area_model(
     ]
     rows, columns = zip(*counted, strict=True) if counted else ((), ())
     shape = (len(measurements), len(area.powers_into_children))
+    if between := [m.meter.id for m in measurements if _is_short_of(m.meter, area)]:
+        problem = "power between two phases of a bus does not count what flows into areas beyond; meter each phase"
+        raise InvalidInputError(f"meters of area {area.name}", [f"{meter}: {problem}" for meter in between])
     size = 2 * network.n_nodes + shape[1]
     fixed = NO_ROWS if reference is None else network.nodes_at(reference)
     to_parent = area.boundaries[area.parent.area].variables if area.parent else ()
@@ -118,6 +123,13 @@ def build_area_model(
         reference=reference,
         backend=backend,
     )
+
+
+def _is_short_of(meter: Meter, area: Area) -> bool:
+    """True for an injection between two phases of which one has a power into a child."""
+    phases = list_phases(meter.phases)
+    there = {power.phase for power in area.powers_into_children if power.bus == meter.bus}
+    return len(phases) > 1 and meter.kind.of_injection and not there.isdisjoint(phases)
 
 
 def build_whole_grid(network: Network, meters: Sequence[Meter], reference: int) -> GridSolver:

@@ -20,7 +20,8 @@ DENSE_BELOW = 40  # buses of an area below which dense matrices cost less than s
 def choose_backend(area: Area, backend: Backend = "auto") -> Literal["radial", "sparse", "dense"]:
     """Back end that computes if ``backend`` is asked for; radial, which loads numba, only where it can serve.
 
-    An area with a boundary at several buses always has dense: only reflections find the information of such a boundary.
+    An area with a boundary at several buses or at phases always has dense: only reflections find the information of
+    such a boundary.
     """
     n_bus = len(area.network.buses)
     if not all(boundary.is_single for boundary in area.boundaries.values()):

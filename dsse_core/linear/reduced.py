@@ -261,9 +261,9 @@ class _Order:
         shared = {n.area: model.voltage_columns(n)[1::2] for n in area.neighbours}  # nodes of each boundary
         nodes = tuple(dict.fromkeys(node for n in shared.values() for node in n)) or (int(nodes_at(area.entry_bus)[0]),)
         free, kept = set(model.free.tolist()), nodes if len(nodes) > 1 else ()
-        next_to_parent = {end for bus in area.not_owned for end in _find_next_to(area, bus)} - {*area.boundary_buses}
+        next_to_parent = {end for bus in area.not_owned for end in _find_next_to(area, bus)}
         at_boundaries = list(range(2 * n_nodes, model.size))
-        beside = [node for bus in sorted(next_to_parent) for node in nodes_at(bus).tolist()]
+        beside = [node for bus in sorted(next_to_parent) for node in nodes_at(bus).tolist() if node not in nodes]
         at_boundaries += [k for node in (*kept, *beside) for k in of_node[node] if k in free]
         apart = {*at_boundaries, *(k for node in nodes for k in of_node[node])}
         within = [k for k in model.free.tolist() if k not in apart]

@@ -1,0 +1,104 @@
+"""Areas of networks with phases: their estimate is the centre's, and so is their way to it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+from unittest import mock
+
+import numpy as np
+import pytest
+
+from dsse_core.errors import InvalidInputError, NotObservableError
+from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
+from dsse_core.estimation.decision import Verdict
+from dsse_core.estimation.estimator import WholeGrid
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.measurement import Measurement, Meter
+from dsse_core.grid.network import Network
+from dsse_core.grid.partition import Partition
+from dsse_core.linear.area_model import build_area_model
+from tests.support.phases import AREAS, DEEP, KIND, Rounds, make_feeder, read_meters, run_rounds
+
+GAP = 1e-9  # p.u. and rad
+SIGMA = 1e-6  # relative
+TWO = {"head": [650, 632, 671, 684, 611, 692, 675], "two": AREAS["two"]}
+
+
+def trace_centre(
+    network: Network, readings: Sequence[Measurement]
+) -> tuple[BadDataReport, list[str], list[np.ndarray]]:
+    """The centre's report, its verdicts, and x after each."""
+    verdicts, states, original = [], [], WholeGrid.carry_out
+
+    def carry_out(self: WholeGrid, verdict: Verdict) -> None:
+        original(self, verdict)
+        verdicts.append(str(verdict))
+        states.append(self.x)
+
+    with mock.patch.object(WholeGrid, "carry_out", carry_out):
+        return process_bad_data(network, readings), verdicts, states
+
+
+def assert_is_the_centres(rounds: Rounds, partition: Partition, report: BadDataReport) -> None:
+    """Voltages and removed and critical meters are the centre's, and so are sigmas, at their last linearisation."""
+    x, n, result = np.r_[report.result.va, report.result.vm], partition.network.n_nodes, report.result
+    before = x.copy()
+    for name, rows in partition.rows_of_nodes.items():
+        columns, side = np.r_[rows, n + rows], rounds.estimations[name]
+        assert abs(rounds.states[-1][name] - x[columns]).max() < GAP
+        before[columns] = side.linearized_at[: 2 * len(rows)]
+    sigma_vm, sigma_va = replace(result, va=before[:n], vm=before[n:]).state_sigma()
+    critical: set[str] = set()
+    for name, rows in partition.rows_of_nodes.items():
+        own_vm, own_va, of_area = rounds.estimations[name].find_sigmas()
+        np.testing.assert_allclose(own_vm, sigma_vm[rows], rtol=SIGMA)
+        np.testing.assert_allclose(own_va, sigma_va[rows], rtol=SIGMA, atol=1e-12)
+        critical |= {*of_area}
+    assert rounds.memory.removed == tuple(removed.measurement.meter.id for removed in report.removed)
+    assert critical == {*report.critical}
+
+
+@pytest.mark.parametrize("areas", [TWO, AREAS, DEEP], ids=["two areas", "four", "six"])
+def test_areas_with_phases_go_the_centres_way_to_its_estimate(areas: dict[str, list[int]]) -> None:
+    network, gaps = make_feeder(), []
+    partition, n = build_partition(network, areas), network.n_nodes
+    for is_rich, decades in itertools.product((True, False), (0.0, 1.0, 3.0)):
+        readings = read_meters(network, 2, decades, is_rich=is_rich)
+        report, verdicts, states = trace_centre(network, readings)
+        rounds = run_rounds(partition, readings)
+        assert rounds.verdicts == verdicts
+        assert_is_the_centres(rounds, partition, report)
+        for of_areas, x in zip(rounds.states, states, strict=True):
+            gaps.append(max(abs(of_areas[k] - x[np.r_[at, n + at]]).max() for k, at in partition.rows_of_nodes.items()))
+    assert max(gaps) < 1e-7
+    assert np.quantile(gaps, 0.95) < GAP
+
+
+@pytest.mark.parametrize("wrong", ["p_flow@632.b:645-632", "vm@684.c", "q_injection@675.a"])
+def test_areas_take_out_the_wrong_reading_of_a_phase_that_the_centre_takes_out(wrong: str) -> None:
+    network = make_feeder()
+    readings = read_meters(network, 3, 0.5, is_rich=True)
+    readings = [replace(m, value=m.value + 0.1) if m.meter.id == wrong else m for m in readings]
+    partition, report = build_partition(network, DEEP), process_bad_data(network, readings)
+    assert [removed.measurement.meter.id for removed in report.removed] == [wrong]
+    assert_is_the_centres(run_rounds(partition, readings), partition, report)
+
+
+def test_areas_name_the_bus_with_a_phase_that_no_meter_determines() -> None:
+    network = make_feeder()
+    out = {"vm@646.b", *(f"{kind}_injection@{bus}.b" for kind in "pq" for bus in (645, 646))}
+    readings = [m for m in read_meters(network, 2, 0.0, is_rich=True) if m.meter.id not in out]
+    rounds = run_rounds(build_partition(network, DEEP), readings)
+    assert rounds.verdicts[-1] == "final unobservable"
+    assert {bus for side in rounds.estimations.values() for bus in side.unobservable} == {646}
+    with pytest.raises(NotObservableError, match=r"the state of bus 646\.b, 646\.c;"):
+        process_bad_data(network, readings)
+
+
+def test_a_power_between_phases_with_an_area_beyond_is_refused_by_name() -> None:
+    area = build_partition(make_feeder(), AREAS).area("head")
+    meters = [Measurement(Meter(KIND.P_INJECTION, bus, phases="ab"), 0.1, 0.01) for bus in (650, 671)]
+    with pytest.raises(InvalidInputError, match=r"p_injection@671\.ab: power between two phases .* meter each phase"):
+        build_area_model(area, meters, 650)
