@@ -131,7 +131,7 @@ class AreaEstimation:
                 y = self._last_y.get(name)
                 if y is None and name not in loads:
                     continue  # nothing is known of the other side
-                own = sum(map(abs, self.area.scheduled_loads.values()))
+                own = sum(map(abs, self.area.network.scheduled.tolist()))
                 y = self.model.boundary_values(self._flat, self._by_name[name]) if y is None else y
                 found[name] = stand_in_as_it_was(boundaries[name], y, own + sum(abs(load.s) for load in loads.values()))
             elif name in loads:

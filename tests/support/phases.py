@@ -47,11 +47,14 @@ DELTA = (np.eye(3) - np.roll(np.eye(3), -1, axis=0)) / np.sqrt(3)  # the low sid
 BUSES = {650: "abc", 632: "abc", 645: "bc", 646: "bc", 671: "abc", 684: "ac", 611: "c", 692: "abc", 675: "abc"}
 AREAS = {"head": [650, 632, 671], "two": [632, 645, 646], "west": [671, 684, 611], "east": [671, 692, 675]}
 DEEP = AREAS | {"west": [671, 684], "one": [684, 611], "east": [671, 692], "bank": [692, 675]}
+RING = {"head": [650, 632, 671, 692], "two": [632, 645, 646, 692], "west": [671, 684, 611], "bank": [692, 675]}
+TIE = coupled_line("646-692", (646, 692), "bc", 0.25)  # closes the ring
 
 
-def make_feeder() -> Network:
+def make_feeder(*ties: Branch) -> Network:
     """A source, a regulator, coupled lines, laterals of two phases and of one, and a delta-wye bank."""
     lines = [
+        *ties,
         bank("reg", (650, 632), WYE, (1.02, 1.01, 1.03)),
         coupled_line("632-671", (632, 671), "abc", 0.3),
         coupled_line("645-632", (645, 632), "bc", 0.1),
@@ -115,24 +118,32 @@ class Rounds:
     memory: Memory
 
 
-def run_rounds(partition: Partition, measurements: Sequence[Measurement]) -> Rounds:
-    """One scan of all areas, each told what the areas beyond each neighbour say."""
-    sides = {area.name: AreaEstimation(area) for area in partition.areas}
+def run_rounds(
+    partition: Partition, measurements: Sequence[Measurement], former: Rounds | None = None, gone: str = ""
+) -> Rounds:
+    """One scan of all areas, each told what the areas beyond each neighbour say.
+
+    ``former``: the scan before. ``gone``: an area without others beyond it that has fallen silent since.
+    """
+    sides = {a.name: former.estimations[a.name] if former else AreaEstimation(a) for a in partition.areas}
+    sides.pop(gone, None)
     by_area = partition.split_meters([m.meter for m in measurements])
+    beside = {name: [n.area for n in side.area.neighbours if n.area != gone] for name, side in sides.items()}
     for name, side in sides.items():
-        side.begin([measurements[k] for k in by_area[name].tolist()], silent=(), stale=False)
+        silent = {n.area for n in side.area.neighbours} & {gone}
+        side.begin([measurements[k] for k in by_area[name].tolist()], silent=silent, stale=False)
 
     def tell(sender: str, receiver: str, at_no_load: bool) -> BoundaryInformation:
         side = sides[sender]
-        beyond = {n.area: tell(n.area, sender, at_no_load) for n in side.area.neighbours if n.area != receiver}
+        beyond = {name: tell(name, sender, at_no_load) for name in beside[sender] if name != receiver}
         told = side.no_load_for(receiver, beyond) if at_no_load else side.information_for(receiver, beyond)
         assert told is not None
         return told
 
     def hear(at_no_load: bool) -> dict[str, dict[str, BoundaryInformation]]:
-        return {k: {n.area: tell(n.area, k, at_no_load) for n in s.area.neighbours} for k, s in sides.items()}
+        return {name: {other: tell(other, name, at_no_load) for other in others} for name, others in beside.items()}
 
-    memory, found, no_load = Memory(), Rounds(sides, [], [], Memory()), hear(at_no_load=True)
+    memory, found, no_load = Memory(), Rounds(sides, [], [], Memory()), {} if gone else hear(at_no_load=True)
     while len(found.verdicts) < ENOUGH:
         for name, side in sides.items():
             if side.area.parent:
@@ -140,7 +151,7 @@ def run_rounds(partition: Partition, measurements: Sequence[Measurement]) -> Rou
         memory, verdict = decide(memory, add_totals([side.totals() for side in sides.values()]))
         received = hear(at_no_load=False)
         for name, side in sides.items():
-            side.carry_out(verdict, memory, received[name], no_load[name])
+            side.carry_out(verdict, memory, received[name], no_load.get(name, {}))
             assert not side.failure
         found.memory = memory
         found.verdicts.append(str(verdict))

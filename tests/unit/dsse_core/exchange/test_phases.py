@@ -19,7 +19,7 @@ from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Partition
 from dsse_core.linear.area_model import build_area_model
-from tests.support.phases import AREAS, DEEP, KIND, Rounds, make_feeder, read_meters, run_rounds
+from tests.support.phases import AREAS, DEEP, KIND, RING, TIE, Rounds, make_feeder, read_meters, run_rounds
 
 GAP = 1e-9  # p.u. and rad
 SIGMA = 1e-6  # relative
@@ -60,9 +60,9 @@ def assert_is_the_centres(rounds: Rounds, partition: Partition, report: BadDataR
     assert critical == {*report.critical}
 
 
-@pytest.mark.parametrize("areas", [TWO, AREAS, DEEP], ids=["two areas", "four", "six"])
+@pytest.mark.parametrize("areas", [TWO, AREAS, DEEP, RING], ids=["two areas", "four", "six", "ring"])
 def test_areas_with_phases_go_the_centres_way_to_its_estimate(areas: dict[str, list[int]]) -> None:
-    network, gaps = make_feeder(), []
+    network, gaps = make_feeder(*([TIE] if areas is RING else [])), []
     partition, n = build_partition(network, areas), network.n_nodes
     for is_rich, decades in itertools.product((True, False), (0.0, 1.0, 3.0)):
         readings = read_meters(network, 2, decades, is_rich=is_rich)
@@ -95,6 +95,17 @@ def test_areas_name_the_bus_with_a_phase_that_no_meter_determines() -> None:
     assert {bus for side in rounds.estimations.values() for bus in side.unobservable} == {646}
     with pytest.raises(NotObservableError, match=r"the state of bus 646\.b, 646\.c;"):
         process_bad_data(network, readings)
+
+
+@pytest.mark.parametrize("gone", ["two", "west", "one"])
+def test_a_child_that_falls_silent_counts_as_it_was(gone: str) -> None:
+    network = make_feeder()
+    readings = read_meters(network, 2, 0.0, is_rich=True)
+    partition = build_partition(network, AREAS | ({"west": [671, 684], "one": [684, 611]} if gone == "one" else {}))
+    first = run_rounds(partition, readings)
+    before = {name: side.x for name, side in first.estimations.items()}
+    for name, side in run_rounds(partition, readings, first, gone).estimations.items():
+        assert side.x == pytest.approx(before[name], abs=1e-3)
 
 
 def test_a_power_between_phases_with_an_area_beyond_is_refused_by_name() -> None:
