@@ -1,0 +1,77 @@
+"""Primitive admittances of lines and of transformer banks, p.u. of a third of the power base.
+
+Voltages are those of nodes to ground: the winding of a bank between two conductors has 3^0.5 p.u. at nominal voltage.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from dsse_core.grid.nodes import Primitive, list_phases
+
+Connection = Literal["grounded", "wye", "delta", "delta reversed"]
+NEUTRAL = "n"  # the star point of a bank that nothing but its windings touches
+
+
+@dataclass(frozen=True)
+class Side:
+    """One side of a bank: the bus' ``phases``, and of each unit where its winding stands, and its turns.
+
+    ``legs``: "a" from a to ground, "ab" from a to b, "an" from a to the star point. ``turns`` (n_unit,): voltages
+    across the windings without load, p.u.; with a tap per phase each has its own.
+    """
+
+    phases: str
+    legs: tuple[str, ...]
+    turns: tuple[float, ...]
+
+
+def connect(phases: str, connection: Connection, taps: Sequence[float] | float = 1.0) -> Side:
+    """The side of a bank of a unit for each phase at nominal voltage times ``taps``.
+
+    Units of "delta" stand from each phase to the next, of "delta reversed" to the one before: with a wye on the other
+    side this one lags by 30 degrees, or leads.
+    """
+    names, tap = list_phases(phases), np.broadcast_to(taps, len(list_phases(phases)))
+    if connection == "grounded":
+        return Side(phases, tuple(names), tuple(tap.tolist()))
+    if connection == "wye":
+        return Side(phases, tuple(name + NEUTRAL for name in names), tuple(tap.tolist()))
+    others = np.roll(names, -1 if connection == "delta" else 1).tolist()
+    legs = tuple(name + other for name, other in zip(names, others, strict=True))
+    return Side(phases, legs, tuple((np.sqrt(3) * tap).tolist()))
+
+
+def build_line(phases: str, z: np.ndarray, charging: np.ndarray | float = 0.0) -> Primitive:
+    """A line of ``phases``: [[Zi + Yc/2, -Zi], [-Zi, Zi + Yc/2]], Zi the inverse of its series impedances ``z``.
+
+    ``z``, ``charging`` (Yc): complex, p.u., (k, k).
+    """
+    inverse = np.linalg.inv(z)
+    at_ends = np.kron(np.eye(2), np.broadcast_to(charging, inverse.shape) / 2)
+    return Primitive(phases, phases, np.kron([[1, -1], [-1, 1]], inverse) + at_ends, at_ends)
+
+
+def build_bank(at_from: Side, at_to: Side, y: complex) -> Primitive:
+    """A bank of equal two-winding units: sum of N' [[y, -y], [-y, y]] N, without the star points.
+
+    Each unit's N has a row for each winding, 1 / turns at the conductor where it begins and -1 / turns where it ends.
+    ``y``: the admittance of a unit, p.u.: for three units of a bank of S and z p.u. it is S / (power base) / z.
+    """
+    sides = at_from, at_to
+    conductors = [(k, name) for k in (0, 1) for name in [*list_phases(sides[k].phases), NEUTRAL]]
+    N = np.zeros((len(at_from.legs), 2, len(conductors)))
+    for k, side in enumerate(sides):
+        for unit, (leg, turns) in enumerate(zip(side.legs, side.turns, strict=True)):
+            ends = [*list_phases(leg.removesuffix(NEUTRAL)), *([NEUTRAL] if leg.endswith(NEUTRAL) else [])]
+            for sign, name in zip((1, -1), ends, strict=False):
+                N[unit, k, conductors.index((k, name))] = sign / turns
+    Y = y * np.einsum("uwi,wv,uvj->ij", N, np.array([[1.0, -1.0], [-1.0, 1.0]]), N)
+    is_star = np.array([name == NEUTRAL for _, name in conductors])
+    of_star, between = Y[np.ix_(is_star, is_star)], Y[np.ix_(~is_star, is_star)]
+    reduced = Y[np.ix_(~is_star, ~is_star)] - between @ np.linalg.pinv(of_star) @ between.T
+    return Primitive(at_from.phases, at_to.phases, reduced, np.zeros_like(reduced))
