@@ -10,9 +10,12 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
+from dsse_core.errors import InvalidInputError
 from dsse_core.grid.network import Network
 from dsse_core.grid.network_table import NetworkTable
 from dsse_core.grid.nodes import PHASE_ANGLE
+
+GROUNDED = 1e-13  # share of a node's admittance, below ten times of which a pivot is rounding: without path to ground
 
 
 @dataclass(frozen=True)
@@ -119,14 +122,28 @@ def find_no_load(
 
 
 def _find_idle(network: Network, reference: int, vm: float, va: float) -> tuple[np.ndarray, np.ndarray]:
-    """vm and va of the nodes where no current flows; nodes out of reach have those of the source."""
+    """vm and va of the nodes where no current flows; nodes out of reach have those of the source.
+
+    Raises:
+        InvalidInputError: phases that nothing joins to the source or to ground, as behind a delta winding.
+    """
     table, ybus = network.table, build_admittance(network, with_shunts=False).ybus
     source = vm * np.exp(1j * (va + PHASE_ANGLE[table.nodes.phase]))
     is_reached = (table.island == table.island[network.row[reference]])[table.nodes.item]
     given = network.nodes_at(reference)
     free = np.setdiff1d(np.flatnonzero(is_reached), given)
     if len(free):
-        source[free] = spla.splu(ybus[free][:, free].tocsc()).solve(-(ybus[free][:, given] @ source[given]))
+        y = ybus[free][:, free].tocsc()
+        try:
+            lu = spla.splu(y)
+        except RuntimeError:  # SuperLU: exactly singular
+            lu = spla.splu(y + GROUNDED * sp.diags_array(abs(y.diagonal()), format="csc"))
+        loose = abs(lu.U.diagonal())[lu.perm_c] <= 10 * GROUNDED * abs(y.diagonal())
+        if loose.any():
+            names = ", ".join(map(str, np.unique(table.bus_id[table.nodes.item[free[loose]]]).tolist()))
+            problem = f"nothing joins phases of bus {names} to the source or to ground; ground a winding of their bank"
+            raise InvalidInputError(f"network {network.name!r}", [problem])
+        source[free] = lu.solve(-(ybus[free][:, given] @ source[given]))
     return abs(source), np.angle(source)
 
 

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dsse_core.grid.nodes import PHASE_ANGLE, PhaseRows
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,14 +41,49 @@ class Legs:
 
     def draw(self, v: np.ndarray, nominal: np.ndarray) -> np.ndarray:
         """The power drawn at each node, complex, p.u., at voltages ``v`` and with ``nominal`` ones, (n_nodes,) each."""
-        u, size = self._between(v), abs(self._between(nominal))
-        of_p, of_q = (abs(u) / size)[:, None].T ** self.exponents.T
-        i = ((self.s.real * of_p + 1j * (self.s.imag * of_q)) / u).conj()
+        u = self._between(v)
+        p, q = self._draw_by_leg(u, nominal)
+        i = ((p + 1j * q) / u).conj()
         current, between = np.zeros(len(v), dtype=complex), self.other >= 0
         np.add.at(current, self.node, i)
         np.add.at(current, self.other[between], -i[between])
         drawn: np.ndarray = v * current.conj()
         return drawn
+
+    def differentiate(self, v: np.ndarray, nominal: np.ndarray) -> csr_array:
+        """The derivatives of ``draw`` by x = [va; vm], complex, (n_nodes, 2 n_nodes).
+
+        With ``c = s / u`` a leg draws ``v c`` at its node and ``-v c`` at the other one; ``dc = (ds - c du) / u`` and
+        ``ds = (P of_p exponent_p + j Q ...) Re(conj(u) du) / |u|^2``. And ``dv = j v dva + v / |v| dvm``.
+        """
+        from scipy.sparse import csr_array  # as in ``NetworkTable.graph``
+
+        n, u = len(v), self._between(v)
+        p, q = self._draw_by_leg(u, nominal)
+        c, slope = (p + 1j * q) / u, p * self.exponents[:, 0] + 1j * (q * self.exponents[:, 1])
+        rows, columns, entries = [], [], []
+        ends = ((self.node, 1.0), (self.other, -1.0))
+        for by, sign in ends:
+            for part, dv in enumerate((1j * v[by], v[by] / abs(v[by]))):
+                du = sign * dv
+                dc = (slope * (u.conj() * du).real / abs(u) ** 2 - c * du) / u
+                for at, direction in ends:
+                    rows.append(np.where((at < 0) | (by < 0), -1, at))
+                    columns.append(part * n + by)
+                    entries.append(direction * (v[at] * dc + (dv * c if at is by else 0.0)))
+        row, column, entry = map(np.concatenate, (rows, columns, entries))
+        there = row >= 0
+        return csr_array((entry[there], (row[there], column[there])), shape=(n, 2 * n))
+
+    def find_varying(self) -> Legs:
+        """The legs whose powers at nodes depend on voltages: all but those of constant power to ground."""
+        varies = (self.other >= 0) | self.exponents.any(axis=1)
+        return Legs(self.node[varies], self.other[varies], self.s[varies], self.exponents[varies])
+
+    def _draw_by_leg(self, u: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """P and Q of each leg at the voltage ``u`` across it."""
+        of_p, of_q = (abs(u) / abs(self._between(nominal)))[:, None].T ** self.exponents.T
+        return self.s.real * of_p, self.s.imag * of_q
 
     def _between(self, v: np.ndarray) -> np.ndarray:
         return np.asarray(v[self.node] - np.where(self.other < 0, 0.0, v[self.other]))

@@ -181,13 +181,19 @@ def build_measurement_model(network: Network, admittance: Admittance, meters: Se
     """The model of ``meters``: of each its node and its row of ``stacked``, that of the node or of the port."""
     table = tabulate_meters(network, meters)
     rows = np.where(table.branch < 0, table.node, network.n_nodes + table.port)
-    y, node, other = sp.csr_array(admittance.stacked[rows]), table.node, table.other
+    return build_model_of_rows(sp.csr_array(admittance.stacked[rows]), table.kind, table.node, table.other)
+
+
+def build_model_of_rows(
+    y: sp.csr_array, kind: np.ndarray, node: np.ndarray, other: np.ndarray | None = None
+) -> MeasurementModel:
+    """The model of meters of ``kind``, places in KINDS, with their rows ``y`` of admittances and their nodes."""
     if other is not None:
         y = _with_entries(y, other)
-    meter_row = np.repeat(np.arange(len(rows)), np.diff(y.indptr))
+    meter_row = np.repeat(np.arange(len(kind)), np.diff(y.indptr))
     at_node = (y.indices == node[meter_row]).astype(float)
     return MeasurementModel(
-        kinds=np.array(KINDS, dtype="<U12")[table.kind],
+        kinds=np.array(KINDS, dtype="<U12")[kind],
         node=node,
         y=y,
         meter_row=meter_row,

@@ -24,7 +24,7 @@ FEWEST_BUSES_OF_COMPILED, BUSES_OF_A_ROW = 500_000, 400
 
 @dataclass(frozen=True, repr=False)
 class PowerFlowBatch:
-    """The solved rows. ``vm`` p.u., ``va`` rad: shape (n_row, n_bus), network order; ``iterations`` (n_row,).
+    """The solved rows. ``vm`` p.u., ``va`` rad: shape (n_row, n_nodes), network order; ``iterations`` (n_row,).
 
     ``failures``: row -> why it has no result, as text; its numbers are NaN, its iterations 0.
     """
@@ -36,8 +36,8 @@ class PowerFlowBatch:
     failures: Mapping[int, str]
 
     def __repr__(self) -> str:
-        rows, buses = self.vm.shape
-        return f"<PowerFlowBatch of {self.network.name!r}: {rows} rows, {buses} buses, {len(self.failures)} failures>"
+        rows, buses, failures = len(self.vm), len(self.network.buses), len(self.failures)
+        return f"<PowerFlowBatch of {self.network.name!r}: {rows} rows, {buses} buses, {failures} failures>"
 
 
 def solve_power_flow_batch(
@@ -50,7 +50,7 @@ def solve_power_flow_batch(
     method: MethodChoice = "auto",
     threads: int | None = None,
 ) -> PowerFlowBatch:
-    """The power flow of each row of injections ``p`` and ``q``, p.u., (n_row, n_bus), network order.
+    """The power flow of each row of injections ``p`` and ``q``, p.u., (n_row, n_nodes), network order.
 
     Injections of the slack bus do not count, nor does q of a bus that holds its voltage.
 
@@ -64,7 +64,7 @@ def solve_power_flow_batch(
         InvalidInputError: shapes that do not fit; a network that ``solve_power_flow`` rejects.
     """
     p, q = np.ascontiguousarray(p, dtype=float), np.ascontiguousarray(q, dtype=float)
-    n = len((network if isinstance(network, Network) else network.network).buses)
+    n = (network if isinstance(network, Network) else network.network).n_nodes
     if p.ndim != 2 or p.shape != q.shape or p.shape[1] != n:
         problem = f"p and q have shapes {p.shape} and {q.shape}; give (number of rows, {n}) for both"
         raise InvalidInputError("injections of a batch of power flows", [problem])

@@ -21,18 +21,19 @@ def read_exactly(power_flow: PowerFlowResult, meters: Sequence[Meter]) -> tuple[
     network = power_flow.network
     v = power_flow.vm * np.exp(1j * power_flow.va)
     stacked = power_flow.admittance.stacked
-    table, f, t = tabulate_meters(network, meters), network.table.f, network.table.t
-    u, i = v[np.concatenate([np.arange(len(v)), f, t])], stacked @ v
-    end = len(v) + table.branch + np.where(np.append(f, -1)[np.maximum(table.branch, -1)] == table.bus, 0, len(f))
-    kind, place = table.kind, np.where(table.branch < 0, table.bus, end)
-    s = (u * i.conj())[place]
+    table = tabulate_meters(network, meters)
+    kind, place = table.kind, np.where(table.branch < 0, table.node, len(v) + table.port)
+    u, i = v[table.node], (stacked @ v)[place]
+    if table.other is not None:
+        u = u - np.where(table.other < 0, 0.0, v[table.other])
+    s = u * i.conj()
     exact = np.zeros(len(meters))
     for k, name in enumerate(KINDS):
         here = kind == k
         if name in (KIND.VM, KIND.CURRENT):
-            exact[here] = abs((u if name is KIND.VM else i)[place[here]])
+            exact[here] = abs((u if name is KIND.VM else i)[here])
         elif name is KIND.VA:
-            exact[here] = np.angle(u[place[here]])
+            exact[here] = np.angle(u[here])
         else:
             exact[here] = s[here].real if name in (KIND.P_INJECTION, KIND.P_FLOW) else s[here].imag
     is_power = np.array([name not in (KIND.VM, KIND.VA, KIND.CURRENT) for name in KINDS])[kind]

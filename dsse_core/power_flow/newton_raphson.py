@@ -14,17 +14,17 @@ from dsse_core.errors import InvalidInputError, PowerFlowDivergedError
 from dsse_core.gauss_newton import LOST, correct_step
 from dsse_core.grid.admittance import Admittance, build_admittance
 from dsse_core.grid.measurement import Meter, find_meter_problems
-from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
+from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Network
 from dsse_core.power_flow.path_sums import TreePaths, sweep_paths
-from dsse_core.power_flow.plan import MethodChoice, PowerFlowPlan, build_power_flow_plan
+from dsse_core.power_flow.plan import MethodChoice, PowerFlowPlan, build_power_flow_plan, find_voltages
 
 Method = Literal["sweep", "newton"]
 
 
 @dataclass(frozen=True, repr=False)
 class PowerFlowResult:
-    """The solved network. ``vm`` p.u., ``va`` rad, ``injection`` (complex, p.u.): shape (n_bus,), network order.
+    """The solved network. ``vm`` p.u., ``va`` rad, ``injection`` (complex, p.u.): shape (n_nodes,), network order.
 
     ``iterations`` of ``method``.
     """
@@ -38,8 +38,8 @@ class PowerFlowResult:
 
     def __repr__(self) -> str:
         return (
-            f"<PowerFlowResult of {self.network.name!r}: {len(self.vm)} buses, losses {self.losses:.4g} p.u., "
-            f"{self.iterations} iterations, {self.method!r}>"
+            f"<PowerFlowResult of {self.network.name!r}: {len(self.network.buses)} buses, "
+            f"losses {self.losses:.4g} p.u., {self.iterations} iterations, {self.method!r}>"
         )
 
     @property
@@ -80,35 +80,37 @@ def solve_power_flow(
     max_iterations: int = 30,
     method: MethodChoice = "auto",
 ) -> PowerFlowResult:
-    """Solves ``v conj(ybus v) = s_generation - s_load`` from the unloaded network with all voltages held.
+    """Solves ``v conj(ybus v) = s_generation - s_load`` at all nodes from the unloaded network with all voltages held.
 
-    Backward and forward sweeps solve it where the network is radial and no bus but the slack holds its voltage. Where
-    sweeps do not reach the tolerance, and in all other networks, Newton-Raphson does. Nothing is compiled, and numba is
-    not loaded.
+    Backward and forward sweeps solve it where the network is balanced and radial and no bus but the slack holds its
+    voltage. Where sweeps do not reach the tolerance, and in all other networks, Newton-Raphson does. Nothing is
+    compiled, and numba is not loaded. With phases powers and mismatches are those of nodes, loads are the legs.
 
     Args:
         slack: (bus, vm in p.u.) of a local slack that replaces the network's own, at angle 0.
-        extra_load: bus -> complex load in p.u., on top of the network's.
+        extra_load: bus -> complex load in p.u., on top of the network's; with phases at each of them.
         tolerance: largest power mismatch allowed, p.u.; at buses with impedances near zero, round-off.
         max_iterations: of Newton's method.
         method: ``sweep``, ``newton``, or ``auto``: sweeps where they can serve. ``sweep`` falls back on Newton, too.
 
     Raises:
-        InvalidInputError: no slack bus, buses that it does not reach, unknown buses in the arguments, sweeps asked for
-            that cannot serve.
+        InvalidInputError: no slack bus, buses or phases that it does not reach, unknown buses in the arguments, sweeps
+            asked for that cannot serve.
         PowerFlowDivergedError: names the bus with the largest mismatch.
     """
     plan = build_power_flow_plan(network, slack=slack, method=method, extra_load=extra_load)
     scheduled = network.scheduled.copy()
     for bus, load in (extra_load or {}).items():
-        scheduled[network.row[bus]] -= load
+        scheduled[network.nodes_at(bus)] -= load
     return solve_with_plan(plan, scheduled, plan.find_limit(tolerance), max_iterations)
 
 
 def solve_with_plan(
     plan: PowerFlowPlan, scheduled: np.ndarray, limit: np.ndarray, max_iterations: int
 ) -> PowerFlowResult:
-    """The power flow with injections ``scheduled``, complex, and mismatches up to ``limit``: (n_bus,), p.u.
+    """The power flow with injections ``scheduled``, complex, and mismatches up to ``limit``: (n_nodes,), p.u.
+
+    Loads that depend on voltages count in ``scheduled`` as at nominal voltages.
 
     Raises:
         PowerFlowDivergedError: names the bus with the largest mismatch.
@@ -128,7 +130,7 @@ def solve_by_newton(
     """
     x, iterations = _newton(plan, scheduled, limit, max_iterations)
     va, vm = np.split(x, 2)
-    v = vm * np.exp(1j * va)
+    v = find_voltages(x)
     injection = v * (plan.admittance.ybus @ v).conj()
     return PowerFlowResult(plan.network, vm, va, injection, iterations, "newton")
 
@@ -155,18 +157,18 @@ def _newton(
     Raises:
         PowerFlowDivergedError: names the bus with the largest mismatch.
     """
-    p_rows, q_rows, model, x = plan.p_rows, plan.q_rows, plan.model, plan.start
+    p_rows, q_rows, x = plan.p_rows, plan.q_rows, plan.start
     rows = np.r_[p_rows, q_rows]
     target = np.r_[scheduled.real[p_rows], scheduled.imag[q_rows]]
     unknown = np.r_[p_rows, plan.network.n_nodes + q_rows]
     limit = limit[rows]
-    mismatch = target - model.predict(x)
+    mismatch = target - plan.find_injections(x)
     iterations = 0
     while (abs(mismatch) > limit).any():
-        following = _newton_step(model, x, target, unknown, mismatch) if iterations < max_iterations else None
+        following = _newton_step(plan, x, target, unknown, mismatch) if iterations < max_iterations else None
         if following is None:
             worst = int(np.argmax(abs(mismatch)))
-            bus = plan.network.buses[rows[worst]].id
+            bus = plan.network.buses[plan.network.table.nodes.item[rows[worst]]].id
             raise PowerFlowDivergedError(plan.network.name, bus, float(abs(mismatch[worst])), iterations)
         x, mismatch = following
         iterations += 1
@@ -174,14 +176,14 @@ def _newton(
 
 
 def _newton_step(
-    model: MeasurementModel, x: np.ndarray, target: np.ndarray, unknown: np.ndarray, mismatch: np.ndarray
+    plan: PowerFlowPlan, x: np.ndarray, target: np.ndarray, unknown: np.ndarray, mismatch: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """The next state and its mismatch; None at the nose of the voltage curve (singular) or out of all bounds.
 
     No step moves a voltage by more than MAX_DVM and MAX_DVA, as in the estimate.
     """
     try:
-        step = spla.splu(model.jacobian(x)[:, unknown].tocsc()).solve(mismatch)
+        step = spla.splu(plan.jacobian(x)[:, unknown].tocsc()).solve(mismatch)
     except RuntimeError:  # SuperLU: exactly singular
         return None
     whole = np.zeros(len(x))
@@ -191,4 +193,4 @@ def _newton_step(
     if verdict == LOST:
         return None
     x = x + share * whole
-    return None if (x[len(x) // 2 :] <= 0).any() else (x, target - model.predict(x))
+    return None if (x[len(x) // 2 :] <= 0).any() else (x, target - plan.find_injections(x))

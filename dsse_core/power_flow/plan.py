@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
+import scipy.sparse as sp
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import Admittance, build_admittance, flat_start
+from dsse_core.grid.loads import Legs, find_nominal
 from dsse_core.grid.measurement import MeasurementKind
-from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
-from dsse_core.grid.meter_table import KINDS, NO_BRANCH, make_meters
+from dsse_core.grid.measurement_model import MeasurementModel, build_model_of_rows
+from dsse_core.grid.meter_table import KINDS
 from dsse_core.grid.network import Control, Network
+from dsse_core.grid.nodes import PHASES
 from dsse_core.power_flow.path_sums import TreePaths, lay_out_paths
 
 P, Q = MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION
@@ -28,8 +31,8 @@ ROUND_OFF = 1e-15  # of the sum of a bus' admittances: its mismatch cannot fall 
 class PowerFlowPlan:
     """The plan of power flows of ``network``.
 
-    ``start``: x = [va; vm], (2 n_bus,), rad and p.u., of the unloaded network with all voltages held. ``held``: bus ->
-    the voltage that it holds, p.u. ``paths``: the tree to sweep over, or, as text, why Newton's method is taken.
+    ``start``: x = [va; vm], (2 n_nodes,), rad and p.u., of the unloaded network with all voltages held. ``held``: bus
+    -> the voltage that it holds, p.u. ``paths``: the tree to sweep over, or, as text, why Newton's method is taken.
     """
 
     network: Network
@@ -44,38 +47,81 @@ class PowerFlowPlan:
 
     @property
     def start_voltage(self) -> np.ndarray:
-        """The voltages of ``start``, complex, p.u., (n_bus,)."""
-        va, vm = np.split(self.start, 2)
-        v: np.ndarray = vm * np.exp(1j * va)
-        return v
+        """The voltages of ``start``, complex, p.u., (n_nodes,)."""
+        return find_voltages(self.start)
 
     @cached_property
     def p_rows(self) -> np.ndarray:
-        """Rows of the buses that meet their P."""
-        return np.delete(np.arange(len(self.start) // 2), self.network.row[self.slack_bus])
+        """Rows of the nodes that meet their P."""
+        return self._nodes_but_at([self.slack_bus])
 
     @cached_property
     def q_rows(self) -> np.ndarray:
-        """Rows of the buses that meet their Q."""
-        return np.delete(np.arange(len(self.start) // 2), [self.network.row[bus] for bus in self.held])
+        """Rows of the nodes that meet their Q."""
+        return self._nodes_but_at(self.held)
+
+    def _nodes_but_at(self, buses: Iterable[int]) -> np.ndarray:
+        """Rows of the nodes of all other buses."""
+        is_kept = np.ones(len(self.network.table.bus_id), dtype=bool)
+        is_kept[[self.network.row[bus] for bus in buses]] = False
+        return np.flatnonzero(is_kept[self.network.table.nodes.item])
 
     @cached_property
     def model(self) -> MeasurementModel:
         """The measurement model of P at ``p_rows``, then Q at ``q_rows``."""
         p, q = (np.full(len(rows), KINDS.index(kind)) for kind, rows in ((P, self.p_rows), (Q, self.q_rows)))
-        bus = self.network.table.bus_id[np.concatenate([self.p_rows, self.q_rows])]
-        meters = make_meters(self.network, np.concatenate([p, q]), bus, np.full(len(bus), NO_BRANCH))
-        return build_measurement_model(self.network, self.admittance, meters)
+        nodes = np.concatenate([self.p_rows, self.q_rows])
+        return build_model_of_rows(sp.csr_array(self.admittance.stacked[nodes]), np.concatenate([p, q]), nodes)
+
+    def find_injections(self, x: np.ndarray) -> np.ndarray:
+        """P at ``p_rows``, then Q at ``q_rows`` at x = [va; vm], and what loads draw there above that at nominal
+        voltages: what the schedule has to be.
+        """
+        injections = self.model.predict(x)
+        if self._varying is None:
+            return injections
+        legs, nominal, at_nominal = self._varying
+        excess = legs.draw(find_voltages(x), nominal) - at_nominal
+        injections += np.concatenate([excess.real[self.p_rows], excess.imag[self.q_rows]])
+        return injections
+
+    def jacobian(self, x: np.ndarray) -> sp.csr_array:
+        """The derivatives of ``find_injections`` by x."""
+        H = self.model.jacobian(x)
+        if self._varying is None:
+            return H
+        legs, nominal, _ = self._varying
+        drawn = legs.differentiate(find_voltages(x), nominal)
+        return sp.csr_array(H + sp.vstack([drawn[self.p_rows].real, drawn[self.q_rows].imag], format="csr"))
+
+    @cached_property
+    def _varying(self) -> tuple[Legs, np.ndarray, np.ndarray] | None:
+        """The legs whose powers depend on voltages, the nominal voltages, and what they draw there, (n_nodes,) each;
+        None where there are none, as in all balanced networks.
+        """
+        legs, nominal = self.network.legs.find_varying(), find_nominal(self.network.table.nodes)
+        return (legs, nominal, legs.draw(nominal, nominal)) if len(legs.node) else None
 
     def find_limit(self, tolerance: float) -> np.ndarray:
-        """The largest mismatch that each bus may have, (n_bus,), p.u."""
+        """The largest mismatch that each node may have, (n_nodes,), p.u."""
         table, n = self.network.table, len(self.start) // 2
+        if not table.nodes.is_balanced:
+            at_ports = abs(self.admittance.stacked[n:]).sum(axis=1)
+            total = np.bincount(table.port_node, at_ports, n) + abs(table.shunt)[table.nodes.item]
+            return np.maximum(tolerance, ROUND_OFF * total)
         at_end = abs(table.ys + table.ends)
         total = np.bincount(table.f, at_end / table.tap[table.active] ** 2, n) + np.bincount(table.t, at_end, n)
         between = abs(table.ys / table.ratio)
         total = total + np.bincount(table.f, between, n) + np.bincount(table.t, between, n) + abs(table.shunt)
         limit: np.ndarray = np.maximum(tolerance, ROUND_OFF * total)
         return limit
+
+
+def find_voltages(x: np.ndarray) -> np.ndarray:
+    """The complex voltages of x = [va; vm], p.u., (n_nodes,)."""
+    va, vm = np.split(x, 2)
+    v: np.ndarray = vm * np.exp(1j * va)
+    return v
 
 
 def build_power_flow_plan(
@@ -91,7 +137,6 @@ def build_power_flow_plan(
         InvalidInputError: no slack bus, buses that it does not reach, unknown buses in the arguments, sweeps asked for
             that cannot serve.
     """
-    network.check_balanced("a power flow")
     slack_bus, slack_vm, slack_va = _slack_of(network, slack)
     if problems := list(_find_problems(network, slack_bus, slack_vm, extra_load or {})):
         raise InvalidInputError(f"power flow of network {network.name!r}", problems)
@@ -115,7 +160,9 @@ def _lay_out(
     if method == "newton":
         return "not asked for"
     paths: TreePaths | str = "other buses than the slack hold their voltage"
-    if len(held) == 1:
+    if not network.table.nodes.is_balanced:
+        paths = "buses have phases"
+    elif len(held) == 1:
         paths = lay_out_paths(network, slack_bus, vm)
     if isinstance(paths, str) and method == "sweep":
         problem = f"sweeps cannot serve: {paths}; choose 'auto' or 'newton'"
@@ -131,6 +178,8 @@ def _find_problems(
     elif unreached := network.find_unreached_buses(slack_bus):
         names = ", ".join(map(str, unreached))
         yield f"no path of branches in service joins bus {names} to the slack bus {slack_bus}"
+    if not network.table.nodes.is_balanced:
+        yield from _find_problems_of_phases(network, slack_bus)
     if not (math.isfinite(slack_vm) and slack_vm > 0):
         yield f"the slack voltage is {slack_vm}; it must be a positive number in p.u."
     for bus, load in extra_load.items():
@@ -138,6 +187,17 @@ def _find_problems(
             yield f"extra load at bus {bus}, which is not in the network"
         if not cmath.isfinite(load):
             yield f"the extra load at bus {bus} is {load}, not a finite number"
+
+
+def _find_problems_of_phases(network: Network, slack_bus: int) -> Iterator[str]:
+    nodes = network.table.nodes
+    for row in np.setdiff1d(np.arange(len(nodes)), network.table.port_node).tolist():
+        bus = network.buses[nodes.item[row]].id
+        if bus != slack_bus:
+            yield f"phase {PHASES[nodes.phase[row]]} of bus {bus} ends no branch in service; leave it out, or join it"
+    for generator in network.generators:
+        if generator.control is Control.VOLTAGE and generator.bus != slack_bus:
+            yield f"a generator holds the voltage of bus {generator.bus}, which has phases; give it its P and Q"
 
 
 def _slack_of(network: Network, slack: tuple[int, float] | None) -> tuple[int, float, float]:

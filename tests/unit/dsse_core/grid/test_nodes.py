@@ -19,7 +19,6 @@ from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, read
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.grid.nodes import Primitive
-from dsse_core.power_flow.newton_raphson import solve_power_flow
 from tests.support.phases import DEEP, coupled_line, make_feeder
 
 
@@ -167,9 +166,7 @@ def test_a_meter_on_phases_that_are_not_there_is_refused_by_name(feeder: Network
         estimate_state(feeder, [Measurement(meter, 1.0, 0.01)])
 
 
-def test_power_flow_and_the_compiled_tree_decline_phases_by_name(feeder: Network) -> None:
-    with pytest.raises(InvalidInputError, match=r"its buses have phases; .* needs a balanced one"):
-        solve_power_flow(feeder)
+def test_the_compiled_tree_declines_phases_by_name(feeder: Network) -> None:
     with pytest.raises(InvalidInputError, match="the radial back end cannot serve: buses have phases"):
         estimate_state(feeder, [], backend="radial")
 
