@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from dsse_core.grid.boundary import Boundary
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.area_measurements import AreaMeasurements
-from dsse_core.linear.boundary_information import ROUNDING, BoundaryInformation
+from dsse_core.linear.boundary_information import ROUNDING, BoundaryInformation, invert_root
 from dsse_core.linear.dense import DenseRows
 from dsse_core.linear.interface import Received
 from dsse_core.linear.reduced import ReducedSolver
@@ -59,6 +59,16 @@ class NoLoadSolver(_AtNoLoad, TableauSolver):
         """Factor without rounding in H, by which an angle meter would seem to measure a magnitude."""
         exact = _without_rounding(H[:, columns])
         return AugmentedFactor(exact, sigma, self.least_information(columns), AugmentedPattern(exact, careful=True))
+
+    def weigh_power(
+        self, factor: AugmentedFactor, combinations: np.ndarray, A: np.ndarray, du: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """See ``TableauSolver``; by a root F of ``S = F'F``, a sum of squares in which what is known does not drown.
+
+        With readings exact rows have a variance of next to 0, and the columns of F differ by less than its rounding.
+        """
+        F = factor.root_of_covariance(A, du)
+        return F.T @ F, np.linalg.svd(F, full_matrices=False)[2].T, invert_root(F)
 
 
 class NoLoadReflections(_AtNoLoad, ReducedSolver):

@@ -16,7 +16,7 @@ from dsse_core.linear.boundary_information import (
     NOTHING_OF_VOLTAGE,
     BoundaryInformation,
     factor_information,
-    invert_root,
+    factor_inverse,
     put_together,
 )
 from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, LinearArea, Matrix, Received, Rows
@@ -102,7 +102,7 @@ class TableauSolver(RowSolver):
         about the boundary's voltage v = (vm_b, va_b), whatever power flows. With u all variables but v and
         ``K = [[R, H_u], [H_u', -d]]`` it is ``M = B' s`` and ``g = B' s_r``, from ``K [s, .] = [B, 0]`` and
         ``K [s_r, .] = [r, 0]``. The second part is about the power given v:
-        ``(p, q) = y_p + C du_r + (dp - C du_B) dv`` with covariance ``C G_uu^-1 C' = F'F`` (``_find_power``). ``B`` and
+        ``(p, q) = y_p + C du_r + (dp - C du_B) dv`` with covariance ``C G_uu^-1 C'`` (``_find_power``). ``B`` and
         ``dp`` are the responses of measurements and power when v moves and takes the whole area along
         (``_responses_to_shift``).
         """
@@ -118,32 +118,41 @@ class TableauSolver(RowSolver):
         s, du = factor.solve(above, below)
         information = B.T @ s[:, :3]
         N, z_of_voltage = factor_information(information[:, :2], information[:, 2], self.nothing_of_voltage)
-        W, F, A = _find_power(factor, C, s[:, 3:], du[:, 3:])
-        P = invert_root(F)
+        W, P, A = self._find_power(factor, C, s[:, 3:], du[:, 3:])
         return put_together(y, P @ W.T, P @ (A.T @ B - W.T @ dp), P @ (A.T @ r), (N, z_of_voltage))
 
     def factor(self, H: sp.csr_array, sigma: np.ndarray, columns: np.ndarray) -> AugmentedFactor:
         """Factor of the ``columns`` of H, with the damping of ``least_information``."""
         return self.rows.factor(H, sigma, self.least_information(columns), columns)
 
+    def _find_power(
+        self, factor: AugmentedFactor, C: sp.csr_array, A: np.ndarray, du: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Information about (p, q), with v given: W, P, (2, 2), and A, (rows, 2).
 
-def _find_power(
-    factor: AugmentedFactor, C: sp.csr_array, A: np.ndarray, du: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Information about (p, q), with v given: W, F and A, two columns each.
+        ``P'P`` is the inverse of the covariance of ``W'(p, q)``, and ``W'C du = A'r`` for residuals r. W turns the
+        axes, so that both combinations of p and q are solved for by themselves; beside a combination that is as good as
+        unknown the other one would drown in rounding. ``A``, ``du``: the solution for W = 1.
+        """
+        W = np.eye(2)
+        for turn in range(MOST_TURNS):
+            S, axes, P = self.weigh_power(factor, C.T @ W, A, du)
+            if turn == MOST_TURNS - 1 or S[0, 1] ** 2 <= abs(S[0, 0] * S[1, 1]) / 2:
+                break
+            W = W @ axes
+            A, du = factor.solve(np.zeros(A.shape), C.T @ W)
+        return W, P, A
 
-    ``F'F`` is the covariance of ``W'(p, q)``, and ``W'C du = A'r`` for residuals r. W turns the axes, so that both
-    combinations of p and q are solved for by themselves; beside a combination that is as good as unknown the other one
-    would drown in rounding. ``A``, ``du``: the solution for W = 1.
-    """
-    W = np.eye(2)
-    for turn in range(MOST_TURNS):
-        F = factor.root_of_covariance(A, du)
-        if turn == MOST_TURNS - 1 or 2 * (F[:, 0] @ F[:, 1]) ** 2 <= (F[:, 0] @ F[:, 0]) * (F[:, 1] @ F[:, 1]):
-            break
-        W = W @ np.linalg.svd(F, full_matrices=False)[2].T
-        A, du = factor.solve(np.zeros(A.shape), C.T @ W)
-    return W, F, A
+    def weigh_power(
+        self, factor: AugmentedFactor, combinations: np.ndarray, A: np.ndarray, du: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Covariance S of two ``combinations`` (n_u, 2) of variables, its axes, and P with ``P'P = S^-1``.
+
+        ``A``, ``du``: the solution for them.
+        """
+        S = -(combinations.T @ du)
+        S = (S + S.T) / 2
+        return S, np.linalg.svd(S)[0], factor_inverse(S)
 
 
 def shift_of_own_rows(model: AreaMeasurements, rows: Rows, x: np.ndarray, H: Matrix) -> np.ndarray:
