@@ -18,6 +18,15 @@ BUSES_OF_AN_AREA = 10  # the areas of a generated feeder, unless a number is giv
 MAX_DEFAULT_AREAS = 8
 
 
+folder_option = click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    required=True,
+    help="Folder for network.toml, scenario.toml.",
+)
+
+
 @command(STUDY, short_help="Show the areas of a scenario, or try others.")
 @scenario_argument
 @click.option("--areas", "count", type=click.IntRange(min=1), help="Cut into so many areas instead.")
@@ -69,13 +78,7 @@ def partition(
 @click.option(
     "--buses", "n_bus", type=click.IntRange(min=2, max=1_000_000), metavar="N", required=True, help="How many buses."
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    required=True,
-    help="Folder for network.toml, scenario.toml.",
-)
+@folder_option
 @click.option(
     "--seed",
     type=click.IntRange(min=0, max=LARGEST_SEED),
@@ -132,13 +135,7 @@ def generate(
 
 @command(STUDY, "import", short_help="Take over a network from MATPOWER, pandapower or power-grid-model.")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    required=True,
-    help="Folder for network.toml, scenario.toml.",
-)
+@folder_option
 @click.option("--areas", "n_area", type=click.IntRange(min=1), default=1, show_default=True, help="How many areas.")
 @click.option("--name", help="Name of the network.  [default: its own, else that of the file]")
 @click.option(
