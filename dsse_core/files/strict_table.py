@@ -73,6 +73,9 @@ def load_strict(path: Path, model: type[Model], changes: Mapping[str, object] | 
         OtherKindError: the file does not fit and has the keys of another kind of file.
     """
     what, content = model.called(path), _parse(path, model)
+    if not isinstance(changes or {}, Mapping):
+        kind = type(changes).__name__
+        raise InvalidInputError(what, [f'changes: is a {kind}; give keys and values, as {{"faults.loss": 0.3}}'])
     if problems := [problem for key, value in (changes or {}).items() if (problem := _change(content, key, value))]:
         raise InvalidInputError(what, problems)
     try:

@@ -18,6 +18,11 @@ def test_tables_that_the_file_does_not_have_are_made():
     assert load_scenario("ieee33", changes={"run.beat_s": 0.5}).run.beat_s == 0.5
 
 
+def test_changes_without_keys_are_refused_with_their_form():
+    with pytest.raises(InvalidInputError, match=r'changes: is a list; give keys and values, as \{"faults.loss": 0.3\}'):
+        load_scenario("ieee33", changes=["faults.loss=0.3"])
+
+
 def test_several_changes_and_items_of_lists_are_possible():
     link = [{"from": "area1", "to": "area2", "loss": 0.1}]
     scenario = load_scenario("ieee33", changes={"faults.link": link, "faults.link[1].loss": 0.7, "seed": 9})
