@@ -318,7 +318,7 @@ class StateMessage:
     off; ``command``: (start_ms, random, sequence) of the last command that was followed, zeros before any. ``split``:
     of the area file; ``next_split``: of the file that lies ready beside it. ``into_children``: P and Q from each of the
     area's boundary buses into the branches of each child there, as ``Area.powers_into_children`` has them; empty where
-    they are not known.
+    they are not known. ``phases``: of each entry of ``buses``, which then are nodes; empty in a balanced network.
     """
 
     kind: ClassVar[str] = "state"
@@ -355,10 +355,28 @@ class StateMessage:
     split: SplitIdentity = NO_SPLIT
     next_split: SplitIdentity = NO_SPLIT
     into_children: Numbers = ()
+    phases: Names = ()
+
+    @property
+    def nodes(self) -> tuple[tuple[int, str], ...]:
+        """Bus and phase of each entry of ``vm``; the phase is "" in a balanced network."""
+        return tuple(zip(self.buses, self.phases or ("",) * len(self.buses), strict=True))
+
+    def row_of(self, bus: int, phase: str = "") -> int:
+        """The place in ``vm`` of a node that the state has."""
+        return self.nodes.index((bus, phase)) if self.phases else self.buses.index(bus)
+
+    def phases_at(self, bus: int) -> tuple[str, ...]:
+        """The phases of the state at ``bus``, ("",) in a balanced network; empty where it does not have the bus."""
+        if not self.phases:
+            return ("",) if bus in self.buses else ()
+        return tuple(phase for at, phase in self.nodes if at == bus)
 
     def find_misfit(self) -> str:
-        if len(set(self.buses)) < len(self.buses):
-            return "buses: one is given twice"
+        if self.phases and len(self.phases) != len(self.buses):
+            return "buses, phases differ in length"
+        if len(set(self.nodes if self.phases else self.buses)) < len(self.buses):
+            return f"{'nodes' if self.phases else 'buses'}: one is given twice"
         return _find_unequal(self, "buses", "vm", "va", "sigma_vm", "sigma_va")
 
 

@@ -17,9 +17,10 @@ from agents.protocol.numbering import ScanReadings
 from agents.protocol.quality import Assessment
 from agents.protocol.readings import Ages
 from agents.strategies.interface import Estimate
+from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area
 
-EMPTY = "buses", "vm", "va", "sigma_vm", "sigma_va", "removed", "critical", "into_children"  # without an estimate
+EMPTY = "buses", "vm", "va", "sigma_vm", "sigma_va", "removed", "critical", "into_children", "phases"  # no estimate
 
 
 class PublishedState:
@@ -40,13 +41,16 @@ class PublishedState:
     ) -> None:
         self.message: StateMessage | None = None
         self.ordered = Ordered((0, 0, 0), ())
-        self._buses = tuple(bus.id for bus in area.network.buses)
+        self._network = area.network
         self._peers = peers
         self._scan = scan
         self._rejections = rejections
         self._splits = splits
         self._header_for = header_for
-        self._described: tuple[Estimate | None, dict[str, Any]] = None, describe_estimate(None, ())  # the last one
+        self._described: tuple[Estimate | None, dict[str, Any]] = (
+            None,
+            describe_estimate(None, area.network),
+        )  # the last one
         self._standing: object = None  # a change of it publishes a state with the same estimate
 
     def is_as_shown(self, quality: str, old_sides: tuple[str, ...]) -> bool:
@@ -110,17 +114,18 @@ class PublishedState:
     def _describe(self, estimate: Estimate | None) -> dict[str, Any]:
         """See ``describe_estimate``; called once for an estimate, which every heartbeat repeats."""
         if self._described[0] is not estimate:
-            self._described = estimate, describe_estimate(estimate, self._buses)
+            self._described = estimate, describe_estimate(estimate, self._network)
         return self._described[1]
 
 
-def describe_estimate(estimate: Estimate | None, buses: tuple[int, ...]) -> dict[str, Any]:
-    """Returns the fields of a state that ``estimate`` fills; all are empty without an estimate."""
+def describe_estimate(estimate: Estimate | None, network: Network) -> dict[str, Any]:
+    """Returns the fields of a state that ``estimate`` of ``network`` fills; all are empty without an estimate."""
     if estimate is None:
         empty: dict[str, Any] = dict.fromkeys(EMPTY, ())
         return empty | {"referenced": False, "objective": 0.0, "degrees_of_freedom": 0, "checked": False}
     return {
-        "buses": buses,
+        "buses": network.node_buses,
+        "phases": network.node_phases,
         "vm": tuple(estimate.vm.tolist()),
         "va": tuple(estimate.va.tolist()),
         "sigma_vm": tuple(estimate.sigma_vm.tolist()),

@@ -165,6 +165,17 @@ class Network:
             return -1 if phase else row
         return int(nodes.find(np.array([row]), PHASES.index(phase))[0])
 
+    @cached_property
+    def node_buses(self) -> tuple[int, ...]:
+        """The bus of each node."""
+        return tuple(self.table.bus_id[self.table.nodes.item].tolist())
+
+    @cached_property
+    def node_phases(self) -> tuple[str, ...]:
+        """The phase of each node; empty in a balanced network."""
+        nodes = self.table.nodes
+        return () if nodes.is_balanced else tuple(PHASES[phase] for phase in nodes.phase.tolist())
+
     def nodes_at(self, bus: int) -> np.ndarray:
         """The rows of the nodes of a bus."""
         return self.table.nodes.at(self.row[bus])

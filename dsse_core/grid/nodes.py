@@ -42,6 +42,11 @@ def _read_set(text: str) -> int:
     return sum(1 << PHASES.index(phase) for phase in phases) if phases == sorted(set(phases), key=PHASES.index) else 0
 
 
+def name_node(bus: int, phase: str) -> str:
+    """The name of a node, such as 671.a; the bus alone in a balanced network."""
+    return f"{bus}.{phase}" if phase else str(bus)
+
+
 class PhaseRows:
     """Rows of the phases of items, item by item: of buses the nodes, of branch ends the ports.
 

@@ -25,6 +25,7 @@ from agents.peers.freshness import PATIENCE_HEARTBEATS
 from agents.protocol.quality import GOOD, NONE, STALE, UNOBSERVABLE, Assessment, assess_from_outside
 from coordinator.watch.observe.watcher import Watcher, count_exchanges
 from dsse_core.grid.columns import read_ids
+from dsse_core.grid.nodes import name_node
 from dsse_core.grid.partition import Partition
 from dsse_core.printable import printable
 
@@ -48,7 +49,7 @@ class Standing:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Sample:
-    """An area's published state at time ``time`` (s, the observer's clock): numbers of its buses, p.u. and rad.
+    """An area's published state at time ``time`` (s, the observer's clock): numbers of its nodes, p.u. and rad.
 
     ``referenced``: ``va`` counts from the substation.
     """
@@ -96,12 +97,12 @@ class Observer:
 
     def __post_init__(self) -> None:
         self._courses = {area.name: _Course() for area in self.partition.areas}
-        self._buses = {area.name: area.network.table.bus_id for area in self.partition.areas}
+        self._networks = {area.name: area.network for area in self.partition.areas}
         self._boundaries_of: dict[str, list[tuple[int, tuple[str, ...]]]] = {}
         for bus, names in self.partition.boundaries.items():
             for name in names:
                 self._boundaries_of.setdefault(name, []).append((bus, names))
-        self.watcher = Watcher(self.run, frozenset(self._buses))
+        self.watcher = Watcher(self.run, frozenset(self._networks))
         self._changes = 0
         self._disturbed_at = -math.inf  # time of the last disturbance
 
@@ -141,9 +142,13 @@ class Observer:
         return True
 
     def _is_of_its_area(self, state: StateMessage) -> bool:
-        """True where the state's buses are those of its area, or the state has no estimate."""
-        own = self._buses[state.header.sender]
-        return not state.buses or np.array_equal(np.sort(read_ids(state.buses)), np.sort(own))
+        """True where the state's nodes are those of its area, or the state has no estimate."""
+        own = self._networks[state.header.sender]
+        if not state.buses:
+            return True
+        if state.phases or own.node_phases:
+            return set(state.nodes) == set(zip(own.node_buses, own.node_phases, strict=False))
+        return np.array_equal(np.sort(read_ids(state.buses)), np.sort(own.table.bus_id))
 
     def take_presence(self, area: str, alive: bool, now: float) -> bool:
         """Note that an area's token appeared or vanished; True where this is a change."""
@@ -294,23 +299,25 @@ class Observer:
     def _find_disagreements(self, bus: int, names: list[str]) -> list[str]:
         found = []
         for other in names[1:]:
-            vm, va = self.mismatch_at(bus, names[0], other)
-            if va > self.tolerance_va:
-                found.append(f"{names[0]} and {other} differ by {math.degrees(va):.3g} deg at bus {bus}")
-            if self.compare_magnitudes and vm > self.tolerance_vm:
-                found.append(f"{names[0]} and {other} differ by {vm:.3g} p.u. at bus {bus}")
+            for phase, (vm, va) in self.mismatches_at(bus, names[0], other).items():
+                place = f"at bus {name_node(bus, phase)}"
+                if va > self.tolerance_va:
+                    found.append(f"{names[0]} and {other} differ by {math.degrees(va):.3g} deg {place}")
+                if self.compare_magnitudes and vm > self.tolerance_vm:
+                    found.append(f"{names[0]} and {other} differ by {vm:.3g} p.u. {place}")
         return found
 
-    def mismatch_at(self, bus: int, one: str, other: str) -> tuple[float, float]:
-        """Differences of magnitude and (wrapped) angle that two areas publish for ``bus``, p.u. and rad."""
-        vm, va = zip(*(self._voltage(name, bus) for name in (one, other)), strict=True)
-        return abs(vm[0] - vm[1]), abs(math.remainder(va[0] - va[1], 2 * math.pi))
-
-    def _voltage(self, area: str, bus: int) -> tuple[float, float]:
-        state = self.watcher.state_of(area)
-        assert state is not None  # the caller has checked it
-        row = state.buses.index(bus)
-        return state.vm[row], state.va[row]
+    def mismatches_at(self, bus: int, one: str, other: str) -> dict[str, tuple[float, float]]:
+        """Phase -> differences of magnitude and (wrapped) angle that two areas publish for ``bus``, p.u. and rad."""
+        ours, theirs = self.watcher.state_of(one), self.watcher.state_of(other)
+        assert ours is not None and theirs is not None  # the caller has checked it
+        found = {}
+        for phase in ours.phases_at(bus):
+            if phase in theirs.phases_at(bus):
+                i, j = ours.row_of(bus, phase), theirs.row_of(bus, phase)
+                va = math.remainder(ours.va[i] - theirs.va[j], 2 * math.pi)
+                found[phase] = abs(ours.vm[i] - theirs.vm[j]), abs(va)
+        return found
 
     def _find_unacknowledged(self) -> list[str]:
         """Sentences on messages that are not received yet or not sent, between areas that are on the bus."""

@@ -76,10 +76,10 @@ def _find_mismatches(observer: Observer, name: str, own: StateMessage) -> list[t
         if theirs is None or not theirs.buses:
             continue
         for bus in boundary.buses:
-            vm, va = observer.mismatch_at(bus, name, other)
             is_of_scan = theirs.header.scan == own.header.scan
             is_referenced = own.referenced and theirs.referenced
-            found.append((vm if is_of_scan else None, va if is_of_scan and is_referenced else None))
+            for vm, va in observer.mismatches_at(bus, name, other).values():
+                found.append((vm if is_of_scan else None, va if is_of_scan and is_referenced else None))
     return found
 
 

@@ -18,6 +18,7 @@ from agents.runtime.presence import MAX_NAMES, Presence
 from coordinator.watch.observe.duplicates import NOUNS, describe_duplicate
 from coordinator.watch.observe.notes import Noted, read_notes
 from coordinator.watch.observe.view import OVER_S, AreaView, Extreme, Meeting, View
+from dsse_core.grid.nodes import name_node
 from dsse_core.printable import listed
 
 MOST_VERSIONS = 10  # other wire versions that are kept apart, and
@@ -323,15 +324,16 @@ class Watcher:
         buses = tuple(sorted(set(state.buses) & set(theirs.buses))) if theirs else ()
         if theirs is None or not buses:
             return None
-        if theirs.header.scan != state.header.scan:
+        nodes = [(bus, phase) for bus in buses for phase in state.phases_at(bus) if phase in theirs.phases_at(bus)]
+        if theirs.header.scan != state.header.scan or not nodes:
             return Meeting(buses, buses[0])
-        pairs = [(state.buses.index(bus), theirs.buses.index(bus)) for bus in buses]
+        pairs = [(state.row_of(*node), theirs.row_of(*node)) for node in nodes]
         vm = [abs(state.vm[i] - theirs.vm[j]) for i, j in pairs]
         if not (state.referenced and theirs.referenced):
-            return Meeting(buses, buses[vm.index(max(vm))], max(vm))
+            return Meeting(buses, nodes[vm.index(max(vm))][0], max(vm))
         va = [abs(math.remainder(state.va[i] - theirs.va[j], 2 * math.pi)) for i, j in pairs]
         larger = vm if max(vm) >= max(va) else va
-        return Meeting(buses, buses[larger.index(max(larger))], max(vm), max(va))
+        return Meeting(buses, nodes[larger.index(max(larger))][0], max(vm), max(va))
 
 
 def count_exchanges(state: StateMessage) -> int:
@@ -349,8 +351,8 @@ def _copy(kept: Any) -> Any:
 
 
 def _extreme(state: StateMessage, vm: float | None) -> Extreme | None:
-    """The first bus with magnitude ``vm``."""
-    return None if vm is None else Extreme(vm, str(state.buses[state.vm.index(vm)]))
+    """The first node with magnitude ``vm``."""
+    return None if vm is None else Extreme(vm, name_node(*state.nodes[state.vm.index(vm)]))
 
 
 def _find_worst(readings: ReadingsMessage | None, state: StateMessage) -> Extreme | None:

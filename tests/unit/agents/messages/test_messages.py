@@ -126,6 +126,19 @@ def test_arrays_of_a_state_must_have_one_length():
         decode(encode(replace(STATE, vm=(1.0,))))
 
 
+@pytest.mark.parametrize(
+    ("phases", "misfit"), [(("a",), "differ in length"), (("a", "a"), "given twice"), (("a", "b"), "")]
+)
+def test_a_state_of_a_bus_with_phases_has_each_of_them_once(phases, misfit):
+    state = replace(STATE, buses=(1, 1), phases=phases)
+    if misfit:
+        with pytest.raises(MessageError, match=misfit):
+            decode(encode(state))
+    else:
+        assert decode(encode(state)) == state
+        assert (state.nodes, state.row_of(1, "b"), state.phases_at(2)) == (((1, "a"), (1, "b")), 1, ())
+
+
 def test_a_key_given_twice_is_rejected():
     places = places_of(STATE)
     places[2 + [f.name for f in fields(STATE)].index("rejected")] = [["malformed", 1], ["malformed", 2]]

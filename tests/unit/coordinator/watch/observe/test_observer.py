@@ -15,7 +15,10 @@ from coordinator.watch.observe.observer import Observer, Standing
 from coordinator.watch.observe.progress import describe_progress
 from coordinator.watch.observe.view import OVER_S
 from coordinator.watch.observe.watcher import Watcher
+from dsse_core.grid.division import build_partition
 from scenarios.scenario import load_scenario
+from tests.support.phases import AREAS as AREAS_WITH_PHASES
+from tests.support.phases import make_feeder
 from tests.support.shown_states import published_by
 
 PARTITION = load_scenario("ieee33").partition
@@ -327,3 +330,35 @@ def test_a_run_and_a_watcher_without_its_scenario_call_an_area_silent_at_the_sam
         qualities.append(observer.quality_of("area1", at))
         assert qualities[-1] == view.quality
     assert (qualities[0], qualities[-1]) == ("good", "stale")
+
+
+WITH_PHASES = build_partition(make_feeder(), AREAS_WITH_PHASES)
+
+
+def show_phases(**of_west: object) -> Observer:
+    """An observer of head and west of a network with phases, which meet in phases a and c of bus 671."""
+    observer = Observer("run", WITH_PHASES, 1e-6, 1e-6, HEARTBEAT_S, compare_magnitudes=True)
+    for area, changes in (("head", {}), ("west", of_west)):
+        network = WITH_PHASES.area(area).network
+        nodes = {"buses": network.node_buses, "phases": network.node_phases, "sent": {"head": (1, 1), "west": (1, 1)}}
+        voltages = dict.fromkeys(("vm", "va", "sigma_vm", "sigma_va"), (1.0,) * network.n_nodes)
+        observer.take_state(published_by(area, Incarnation(1, 1), **(nodes | voltages | changes)), 0.0)
+    return observer
+
+
+def test_areas_agree_phase_by_phase_where_they_meet():
+    vm = [1.0] * WITH_PHASES.area("west").network.n_nodes
+    vm[WITH_PHASES.area("west").network.node(671, "c")] = 1.25
+    for observer, expected in ((show_phases(), False), (show_phases(vm=tuple(vm)), True)):
+        assert ("head and west differ by 0.25 p.u. at bus 671.c" in observer.standing(0.0).obstacles) is expected
+        assert not any("671.a" in obstacle for obstacle in observer.standing(0.0).obstacles)
+    seen = observer.watcher.look(0.0)
+    assert [area.mismatch_vm_pu for area in seen.areas] == [0.25, 0.25]
+    assert [area.highest_vm.at for area in seen.areas] == ["650.a", "671.c"]
+
+
+def test_a_state_of_other_phases_than_its_area_has_is_not_kept():
+    network = WITH_PHASES.area("west").network
+    assert "west" in show_phases().states
+    for phases in ((), ("b", *network.node_phases[1:])):
+        assert "west" not in show_phases(phases=phases).states
