@@ -310,8 +310,9 @@ class Observer:
     def mismatches_at(self, bus: int, one: str, other: str) -> dict[str, tuple[float, float]]:
         """Phase -> differences of magnitude and (wrapped) angle that two areas publish for ``bus``, p.u. and rad."""
         ours, theirs = self.watcher.state_of(one), self.watcher.state_of(other)
-        assert ours is not None and theirs is not None  # the caller has checked it
-        found = {}
+        found: dict[str, tuple[float, float]] = {}
+        if ours is None or theirs is None:
+            return found
         for phase in ours.phases_at(bus):
             if phase in theirs.phases_at(bus):
                 i, j = ours.row_of(bus, phase), theirs.row_of(bus, phase)
