@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator
 from itertools import repeat
 from pathlib import Path
@@ -15,14 +16,17 @@ from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.files.strict_table import load_strict
 from dsse_core.files.wording import describe_unknown
 from dsse_core.grid.boundary import boundary_at, boundary_of, find_wrong_name
+from dsse_core.grid.loads import Load
 from dsse_core.grid.measurement import Meter, find_meter_problems
 from dsse_core.grid.network import Branch, Bus, Generator, Network
+from dsse_core.grid.nodes import PHASE_ANGLE, list_phases
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.grid.physical_ranges import find_range_problems
 from dsse_core.link_faults import LinkFaults
 from dsse_core.reading_rules import KindRule, ReadingRules
 
 T = TypeVar("T")
+SAME_ANGLE = 1e-9  # rad
 
 
 def load_area_file(path: Path, strategies: Collection[str] | None = None) -> Configuration:
@@ -38,6 +42,7 @@ def load_area_file(path: Path, strategies: Collection[str] | None = None) -> Con
     meters = _items_of(Meter, t.meter)
     try:
         network = _network_of(t)
+        problems += _find_phase_problems(t, network)
         problems += find_meter_problems(network, meters)
     except InvalidInputError as error:
         problems += [f"network: {problem}" for problem in error.problems]
@@ -77,7 +82,7 @@ def _area_of(t: Any, network: Network) -> Area:
         towards_hub=t.exchange.towards_hub,
         n_areas=t.exchange.areas,
         entry_voltage=(t.exchange.entry_vm, t.exchange.entry_va),
-        no_load=t.exchange.no_load,
+        no_load=tuple((int(str(place).partition(".")[0]), vm, va) for place, vm, va in t.exchange.no_load),
     )
 
 
@@ -93,6 +98,7 @@ def _network_of(t: Any) -> Network:
         buses=_items_of(Bus, t.network.bus),
         branches=_items_of(Branch, t.network.branch),
         generators=_items_of(Generator, t.network.generator),
+        loads=_items_of(Load, t.network.load),
     )
     if problems := list(find_range_problems(network)):
         raise InvalidInputError(f"network {network.name!r}", problems)
@@ -137,8 +143,6 @@ def _find_problems(t: Any) -> Iterator[str]:
         )
     if t.exchange.towards_hub not in (None, *names):
         yield f"exchange.towards_hub: {t.exchange.towards_hub} is no neighbour"
-    for bus in sorted({bus for bus, _, _ in t.exchange.no_load} - buses):
-        yield f"exchange.no_load: bus {bus} is not in the network"
     if t.exchange.areas <= len(names):
         yield f"exchange.areas: is {t.exchange.areas}; this area and its neighbours alone are {len(names) + 1}"
     if sum(n.is_parent for n in t.neighbour) != (0 if substations else 1):
@@ -158,13 +162,51 @@ def _find_wrong_variables(t: Any, neighbour: Any, buses: Collection[int]) -> str
     if missing := sorted({*boundary.buses} - {*buses}):
         return f"bus {missing[0]} is not in the network"
     child = t.area if neighbour.is_parent else neighbour.area
-    expected = boundary_at((neighbour.bus, *(bus for bus in boundary.buses if bus != neighbour.bus)), child).names
+    places = {bus: f"{bus}.{phases}" if phases else bus for bus, phases in boundary.phases.items()}
+    first = places.pop(neighbour.bus, neighbour.bus)
+    expected = boundary_at((first, *places.values()), child).names
     return "" if neighbour.variables == expected else f"must be {list(expected)} where these areas meet at these buses"
 
 
 def _buses_of(neighbour: Any) -> tuple[int, ...]:
     is_named = neighbour.variables and not find_wrong_name(neighbour.variables)
     return boundary_of(neighbour.variables).buses if is_named else (neighbour.bus,)
+
+
+def _find_phase_problems(t: Any, network: Network) -> Iterator[str]:
+    """Problems of boundaries and of the unloaded grid that lack phases of the network, or have others than it."""
+    for i, n in enumerate(t.neighbour):
+        if n.bus in network.row and not (n.variables and find_wrong_name(n.variables)):
+            yield from _find_boundary_problems(f"neighbour[{i + 1}].variables", n, network)
+    no_load, nodes = [str(place) for place, _, _ in t.exchange.no_load], network.node_names
+    if network.table.nodes.is_balanced:
+        yield from (f"exchange.no_load: bus {place} is not in the network" for place in sorted({*no_load} - {*nodes}))
+        return
+    if no_load != nodes:
+        wrong = next((place for place in no_load if place not in nodes), None)
+        found = f"{wrong} is no node of the network" if wrong else f"{len(no_load)} voltages in another order"
+        yield f"exchange.no_load: {found}; give {', '.join(nodes)}, in this order"
+    elif t.reference and t.reference.bus in network.row:
+        for node in network.nodes_at(t.reference.bus).tolist():
+            expected = t.reference.va + PHASE_ANGLE[network.table.nodes.phase[node]]
+            if abs(math.remainder(t.exchange.no_load[node][2] - expected, 2 * math.pi)) > SAME_ANGLE:
+                yield f"exchange.no_load: {nodes[node]} is not at {expected:.6g} rad, where reference.va puts it"
+
+
+def _find_boundary_problems(key: str, neighbour: Any, network: Network) -> Iterator[str]:
+    """Phases of a boundary that its buses do not have; a child has those of its branches, and no others, there."""
+    phases = boundary_of(neighbour.variables).phases if neighbour.variables else {neighbour.bus: ""}
+    for bus, found in phases.items():
+        if bus not in network.row:
+            continue
+        there = network.bus(bus).phases
+        fits = (
+            found == there
+            if neighbour.is_parent or not (found and there)
+            else {*list_phases(found)} <= {*list_phases(there)}
+        )
+        if not fits:
+            yield f"{key}: has phases {found!r} at bus {bus}, which has {there!r} here; write them as the split has"
 
 
 def _find_telemetry_problems(t: Any) -> Iterator[str]:

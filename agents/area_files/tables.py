@@ -3,7 +3,7 @@
 A field of ``Configuration`` that is a key by itself, of the stamp of a split, of the limits, of the rule of a kind of
 meter, of the faults of a link and of a bus, branch, generator, meter or neighbour is a key of the file: with its name,
 its type and range, its default and its meaning in errors. The tables written out here have other keys than the
-dataclasses behind them. In JSON, buses, branches, generators and meters are lists of values.
+dataclasses behind them. In JSON, buses, branches, generators, loads and meters are lists of values.
 """
 
 from __future__ import annotations
@@ -13,9 +13,11 @@ import functools
 import typing
 from collections.abc import Sequence
 from enum import StrEnum
-from typing import Annotated, Any, ClassVar, Literal, Self
+from types import UnionType
+from typing import Annotated, Any, ClassVar, Literal, Self, Union
 
-from pydantic import Field, create_model, model_validator
+import numpy as np
+from pydantic import AfterValidator, Field, create_model, model_validator
 
 from agents.protocol.configuration import Configuration, SplitStamp, keys_of, plain_keys
 from dsse_core.estimation.state_limits import StateLimits
@@ -23,14 +25,41 @@ from dsse_core.files.kinds import AREA_FILE, FileKind
 from dsse_core.files.quantities import BranchId, Name, Version
 from dsse_core.files.shared_tables import AdmmTable, GenerationTable, require_a_band
 from dsse_core.files.strict_table import ColumnsTable, FileTable, Table
+from dsse_core.grid.loads import Load
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.network import Branch, Bus, Generator
+from dsse_core.grid.nodes import Primitive
 from dsse_core.grid.partition import Neighbour
 from dsse_core.limits import Positive
 from dsse_core.link_faults import LinkFaults
 from dsse_core.reading_rules import ANYBODY, LEADER, KindRule, Ticks
 
-NoLoad = Annotated[tuple[int, Positive, float], Field(strict=False)]
+NoLoad = Annotated[tuple[int | str, Positive, float], Field(strict=False)]
+
+
+def _join_number(parts: tuple[float, float]) -> complex:
+    return complex(*parts)
+
+
+def _join_matrix(parts: tuple[list[list[float]], list[list[float]]]) -> np.ndarray:
+    """The complex matrix of its real parts and its imaginary parts, to the bit.
+
+    Raises:
+        ValueError: ``parts`` are no square matrices of one size.
+    """
+    if len({n for rows in parts for n in (len(rows), *map(len, rows))}) > 1:
+        raise ValueError("must be two square matrices of one size, of the real and of the imaginary parts")
+    joined: np.ndarray = np.array(parts, dtype=float).transpose(1, 2, 0).copy().view(complex)[:, :, 0]
+    return joined
+
+
+IN_PARTS: dict[Any, Any] = {
+    complex: Annotated[tuple[float, float], Field(strict=False), AfterValidator(_join_number)],
+    np.ndarray: Annotated[
+        tuple[list[list[float]], list[list[float]]], Field(strict=False), AfterValidator(_join_matrix)
+    ],
+}
+"""Type of a value that files hold in parts -> the type of these parts."""
 
 
 def _keys_of(cls: type[Any], keys: Sequence[tuple[str, Any]], **types: Any) -> Any:
@@ -51,8 +80,12 @@ def _types_of(cls: type[Any]) -> Any:
 
 
 def _in_files(hint: Any) -> Any:
-    """A type whose tuples may be lists in a file, and members of enumerations words."""
+    """A type whose tuples may be lists in a file, members of enumerations words, and other values parts."""
+    if isinstance(hint, type) and hint in IN_PARTS:
+        return IN_PARTS[hint]
     parts = typing.get_args(hint)
+    if typing.get_origin(hint) in (Union, UnionType):
+        return Union[tuple(map(_in_files, parts))]  # noqa: UP007
     if hasattr(hint, "__metadata__"):
         return Annotated[(_in_files(hint.__origin__), *hint.__metadata__)]
     if typing.get_origin(hint) is tuple:
@@ -61,6 +94,13 @@ def _in_files(hint: Any) -> Any:
     if isinstance(hint, type) and issubclass(hint, StrEnum):
         return Annotated[hint, Field(strict=False)]
     return hint
+
+
+def _join_primitive(table: Any) -> Primitive:
+    return Primitive(**vars(table))
+
+
+IN_PARTS[Primitive] = Annotated[_table_of(Primitive), AfterValidator(_join_primitive)]
 
 
 class SlackTable(Table):
@@ -86,7 +126,8 @@ class ExchangeTable(Table):
     entry_va: float = Field(description="angle there in rad")
     no_load: Annotated[tuple[NoLoad, ...], Field(strict=False)] = Field(
         default=(),
-        description="[bus, vm, va] of boundary buses in the unloaded grid, if taps do not cancel around loops",
+        description="[bus, vm, va] of boundary buses in the unloaded grid, if taps do not cancel around loops; where "
+        "buses have phases ['671.a', vm, va] of each node",
     )
 
 
@@ -173,6 +214,7 @@ def area_table(*, of_columns: bool) -> Any:
         bus=(all_of(Bus), ...),
         branch=(all_of(Branch), ...),
         generator=(all_of(Generator), []),
+        load=(all_of(Load), []),
     )
     return create_model(
         "AreaFileTable",

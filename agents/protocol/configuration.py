@@ -22,9 +22,11 @@ from agents.protocol.configuration_digest import digest_configuration
 from dsse_core.estimation.state_limits import DEFAULT_LIMITS, StateLimits
 from dsse_core.files.quantities import Name
 from dsse_core.grid.columns import Records
+from dsse_core.grid.loads import Load
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.meter_table import list_columns
 from dsse_core.grid.network import Branch, Bus, Generator
+from dsse_core.grid.nodes import Primitive
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.limits import ClockError, HeartbeatSeconds, Positive, ScanSeconds, Seed
 from dsse_core.link_faults import LinkFaults
@@ -116,6 +118,8 @@ def _column_of(key: str, items: Sequence[Any]) -> Sequence[Any]:
         given: Sequence[Any] | np.ndarray = items.columns.get(key, ())
         return given.tolist() if isinstance(given, np.ndarray) else given
     column = list(map(attrgetter(key), items))
+    if column and (write := _WRITE.get(type(column[0]))):
+        return list(map(write, column))
     is_enumeration = bool(column) and isinstance(column[0], StrEnum)
     return list(map(str, column)) if is_enumeration else column  # plain text is written in a fraction of the time
 
@@ -125,7 +129,6 @@ def table_of(content: Configuration, all_of: Callable[[Any, Sequence[Any]], Any]
     meters.
     """
     area, network = content.area, content.area.network
-    network.check_balanced("an area file")
     slack = {"bus": area.slack_bus} | ({} if area.slack_vm is None else {"vm": area.slack_vm})
     return {
         **({"split": dataclasses.asdict(content.split)} if content.split else {}),
@@ -140,7 +143,7 @@ def table_of(content: Configuration, all_of: Callable[[Any, Sequence[Any]], Any]
             "areas": area.n_areas,
             "entry_vm": area.entry_voltage[0],
             "entry_va": area.entry_voltage[1],
-            **({"no_load": [list(voltage) for voltage in area.no_load]} if area.no_load else {}),
+            **({"no_load": _list_no_load(area)} if area.no_load else {}),
         },
         **({"reference": dict(zip(("bus", "va"), area.reference, strict=True))} if area.reference else {}),
         "load_messages": {
@@ -154,6 +157,7 @@ def table_of(content: Configuration, all_of: Callable[[Any, Sequence[Any]], Any]
             "bus": all_of(Bus, network.buses),
             "branch": all_of(Branch, network.branches),
             "generator": all_of(Generator, network.generators),
+            **({"load": all_of(Load, network.loads)} if network.loads else {}),
         },
         "meter": all_of(Meter, content.meters),
     }
@@ -185,15 +189,33 @@ def rows_of(_: Any, items: Sequence[Any]) -> list[dict[str, Any]]:
 def _row_of(item: Any) -> dict[str, Any]:
     """Returns a dataclass as a table, without values that equal their default."""
     values = ((key, getattr(item, key), default) for key, default in _known_keys_of(item.__class__))
-    return {key: value for key, value, default in values if default is dataclasses.MISSING or value != default}
+    stated = [(key, value) for key, value, default in values if default is dataclasses.MISSING or value != default]
+    return {key: write(value) if (write := _WRITE.get(type(value))) else value for key, value in stated}
 
 
 def keys_of(cls: Any) -> list[tuple[str, Any]]:
-    """Returns name and default of every field that a dataclass is made of in files: no phases."""
-    return [(f.name, f.default) for f in dataclasses.fields(cls) if f.init and f.metadata.get("in_files", True)]
+    """Returns name and default of every field that a dataclass is made of."""
+    return [(field.name, field.default) for field in dataclasses.fields(cls) if field.init]
 
 
 _known_keys_of = functools.cache(keys_of)
+
+
+def _split_complex(value: Any) -> list[Any]:
+    """Returns the real parts, then the imaginary parts, of a complex number or matrix."""
+    parts = np.asarray(value)
+    return [parts.real.tolist(), parts.imag.tolist()]
+
+
+_WRITE: dict[type, Callable[[Any], Any]] = {complex: _split_complex, np.ndarray: _split_complex, Primitive: _row_of}
+"""Type of a value that files hold in parts -> these parts."""
+
+
+def _list_no_load(area: Area) -> list[list[Any]]:
+    """Returns the rows of ``Area.no_load``; of a network with phases each names its node."""
+    is_balanced = area.network.table.nodes.is_balanced
+    places = [bus for bus, _, _ in area.no_load] if is_balanced else area.network.node_names
+    return [[place, vm, va] for place, (_, vm, va) in zip(places, area.no_load, strict=True)]
 
 
 def _neighbour_row(neighbour: Neighbour, faults: LinkFaults) -> dict[str, Any]:

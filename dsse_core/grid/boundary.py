@@ -91,6 +91,12 @@ class Boundary:
         """The buses at which the areas meet."""
         return tuple(dict.fromkeys(variable.bus for variable in self.variables))
 
+    @cached_property
+    def phases(self) -> dict[int, str]:
+        """Bus -> its phases in the boundary, such as "abc"; "" in a balanced network."""
+        voltages = [variable for variable in self.variables if variable.kind is Kind.VM]
+        return {bus: "".join(v.phase for v in voltages if v.bus == bus) for bus in self.buses}
+
     def per_kind(self, p: float, q: float, vm: float, va: float) -> np.ndarray:
         """One number for each variable, by its kind, shape (d,)."""
         of_kind = {Kind.P: p, Kind.Q: q, Kind.VM: vm, Kind.VA: va}

@@ -63,7 +63,7 @@ class Meter:
     bus: int
     branch: str | None = None
     source: Source = Source.TELEMETERED
-    phases: str = field(default="", metadata={"in_files": False})
+    phases: str = ""
     _id: str | None = field(default=None, init=False, repr=False, compare=False)
 
     @property

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 
@@ -53,7 +53,7 @@ class Bus:
     b_shunt: float = 0.0
     x: float | None = None
     y: float | None = None
-    phases: str = field(default="", metadata={"in_files": False})
+    phases: str = ""
 
     @property
     def has_shunt(self) -> bool:
@@ -83,7 +83,7 @@ class Branch:
     name: str = ""
     i_max: float | None = None
     s_max: float | None = None
-    primitive: Primitive | None = field(default=None, metadata={"in_files": False})
+    primitive: Primitive | None = None
 
     def other_end(self, bus: int) -> int:
         return self.to_bus if bus == self.from_bus else self.from_bus
@@ -157,6 +157,13 @@ class Network:
     def n_nodes(self) -> int:
         """The number of nodes, each with one voltage: of buses where the network is balanced."""
         return len(self.table.nodes)
+
+    @cached_property
+    def node_names(self) -> list[str]:
+        """Names of the nodes, in their order: of a bus with phases "671.a", of a balanced one "671"."""
+        nodes, buses = self.table.nodes, self.table.bus_id
+        places = zip(buses[nodes.item].tolist(), nodes.phase.tolist(), strict=True)
+        return [f"{bus}.{PHASES[phase]}" if phase else str(bus) for bus, phase in places]
 
     def node(self, bus: int, phase: str = "") -> int:
         """The row of a node, by its bus and phase; -1 where the bus lacks the phase."""

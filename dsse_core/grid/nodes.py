@@ -92,3 +92,12 @@ class Primitive:
     to_phases: str
     y: np.ndarray
     charging: np.ndarray
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Primitive):
+            return NotImplemented
+        phases = self.from_phases == other.from_phases and self.to_phases == other.to_phases
+        return phases and np.array_equal(self.y, other.y) and np.array_equal(self.charging, other.charging)
+
+    def __hash__(self) -> int:
+        return hash((self.from_phases, self.to_phases, self.y.tobytes()))

@@ -19,7 +19,6 @@ from dsse_core.grid.division import build_partition
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
-from tests.support.phases import AREAS, make_feeder
 
 
 @pytest.fixture
@@ -45,12 +44,6 @@ def test_what_was_written_is_read_back(tmp_path: Path, content: Configuration, s
     assert load_area_file(path) == content
 
 
-def test_an_area_with_phases_is_not_written_without_them(tmp_path: Path, content: Configuration):
-    area = build_partition(make_feeder(), AREAS).area("west")
-    with pytest.raises(InvalidInputError, match=r"its buses have phases; an area file needs a balanced one"):
-        save_area_file(tmp_path / "area.toml", replace(content, area=area))
-
-
 def test_every_wrong_value_of_a_list_is_named_with_its_place(tmp_path: Path, content: Configuration):
     def change(table: dict[str, Any]) -> None:
         table["network"]["branch"]["r"][2] = "much"
@@ -62,7 +55,8 @@ def test_every_wrong_value_of_a_list_is_named_with_its_place(tmp_path: Path, con
     assert "'much'" in r
     assert kind.startswith("meter.kind[1]: ")
     assert colour == (
-        "network.bus.colour: unknown key; allowed here: id, base_kv, name, p_load, q_load, g_shunt, b_shunt, x, y"
+        "network.bus.colour: unknown key; allowed here: id, base_kv, name, p_load, q_load, g_shunt, b_shunt, x, y, "
+        "phases"
     )
 
 
