@@ -12,7 +12,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.exchange.boundary_load import boundary_loads, scheduled_load_messages
 from dsse_core.grid.columns import Records, read_column
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.grid.meter_table import KINDS, NO_BRANCH, find_virtual, number_kinds
+from dsse_core.grid.meter_table import KINDS, NO_BRANCH, find_virtual, list_named_phases, number_kinds
 from dsse_core.grid.network import Network
 from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
@@ -194,6 +194,9 @@ def sum_up_ids(network: Network, meters: Sequence[Meter]) -> np.ndarray:
         return np.array([zlib.crc32(meter.id.encode()) for meter in meters], dtype=np.uint32)
     columns, ids = meters.columns, write_bytes([branch.encode() for branch in network.branch_ids])
     own = np.zeros(len(meters), dtype=np.uint32)
+    phases = None
+    if "phase" in columns:
+        phases = write_bytes([f".{named}".rstrip(".").encode() for named in list_named_phases(meters)])
     of_branch = columns["branch"] != NO_BRANCH
     for k, kind in enumerate(KINDS):
         of_kind = columns["kind"] == k
@@ -201,6 +204,8 @@ def sum_up_ids(network: Network, meters: Sequence[Meter]) -> np.ndarray:
             here = np.flatnonzero(of_kind & (of_branch == at_branch))
             begun = np.full(len(here), zlib.crc32(f"{kind}@".encode()), dtype=np.uint32)
             sums = sum_up(begun, write_bytes(columns["bus"][here].astype(np.bytes_)))
+            if phases is not None:
+                sums = sum_up(sums, phases.of(here))
             if at_branch:
                 sums = sum_up(sum_up(sums, write_bytes([b":"] * len(here))), ids.of(columns["branch"][here]))
             own[here] = sums

@@ -20,6 +20,8 @@ NO_BRANCH, UNKNOWN = -2, -1
 UNKNOWN_BRANCH = "?"  # stands for the id of a branch that the network does not have
 _IS_OF_INJECTION = np.array([kind.of_injection for kind in KINDS])
 _IS_OF_BRANCH = np.array([kind.of_branch for kind in KINDS])
+LISTED = ("kind", "bus", "branch", "source", "phases")  # attributes of a meter
+PHASE_COLUMNS = ("phase", "other_phase")  # of meters in a network with phases, see ``MeterTable.phases``
 _CODE_OF_KIND = {id(kind): k for k, kind in enumerate(KINDS)}  # members are singletons, and hashing them takes long
 
 
@@ -60,7 +62,12 @@ class MeterTable:
 
 
 def make_meters(
-    network: Network, kind: np.ndarray, bus: np.ndarray, branch: np.ndarray, source: np.ndarray | None = None
+    network: Network,
+    kind: np.ndarray,
+    bus: np.ndarray,
+    branch: np.ndarray,
+    source: np.ndarray | None = None,
+    phases: np.ndarray | None = None,
 ) -> Records[Meter]:
     """Meters of ``network`` from columns (n_meas,); a plan reads the columns without visiting each meter.
 
@@ -69,10 +76,14 @@ def make_meters(
         bus: ids of buses.
         branch: rows of ``network.branches``, NO_BRANCH for a meter at a bus, UNKNOWN for a branch that is not there.
         source: positions in SOURCES; all telemetered by default.
+        phases: (2, n_meas), as in MeterTable; none are named by default. A balanced network has none.
     """
     if source is None:
         source = np.zeros(len(kind), dtype=np.int64)
     columns = {"kind": kind, "bus": bus, "branch": branch, "source": source}
+    if not network.table.nodes.is_balanced:
+        none = np.zeros(len(kind), dtype=np.int64), np.full(len(kind), UNKNOWN)
+        columns |= dict(zip(PHASE_COLUMNS, none if phases is None else phases, strict=True))
     return Records(_MakeMeter(network.branch_ids), columns)
 
 
@@ -81,8 +92,8 @@ def join_meters(network: Network, parts: Sequence[Sequence[Meter]]) -> Sequence[
     columns = [part.columns for part in parts if isinstance(part, Records)]
     if len(columns) < len(parts):
         return tuple(meter for part in parts for meter in part)
-    keys = ("kind", "bus", "branch", "source")
-    return make_meters(network, *(np.concatenate([part[key] for part in columns]) for key in keys))
+    joined = {key: np.concatenate([part[key] for part in columns]) for key in columns[0]}
+    return Records(_MakeMeter(network.branch_ids), joined)
 
 
 def each_fits(network: Network, meters: Records[Meter]) -> bool:
@@ -98,7 +109,19 @@ def each_fits(network: Network, meters: Records[Meter]) -> bool:
         return False
     metered, at = branch[branch >= 0], bus[branch >= 0]
     ends = (at == table.from_bus[metered]) | (at == table.to_bus[metered])
-    return bool(ends.all() and table.in_service[metered].all())
+    return bool(ends.all() and table.in_service[metered].all()) and _have_nodes(network, meters)
+
+
+def _have_nodes(network: Network, meters: Records[Meter]) -> bool:
+    """True where each of ``meters``, at known buses and branches, names one phase that is there, or two of a bus."""
+    if network.table.nodes.is_balanced:
+        return True
+    table = tabulate_meters(network, meters)
+    assert table.phases is not None  # as ``network`` has phases
+    assert table.other is not None
+    is_alone, at_bus = table.phases[1] == UNKNOWN, table.branch < 0
+    is_pair = at_bus & (table.other >= 0) & (table.other != table.node)
+    return bool((np.where(at_bus, table.node, table.port) >= 0).all() and (is_alone | is_pair).all())
 
 
 @dataclass(frozen=True)
@@ -107,8 +130,11 @@ class _MakeMeter:
 
     branch_ids: Sequence[str]
 
-    def __call__(self, kind: int, bus: int, branch: int, source: int) -> Meter:
-        return Meter(KINDS[kind], bus, self.id_of(branch), SOURCES[source])
+    def __call__(
+        self, kind: int, bus: int, branch: int, source: int, phase: int = 0, other_phase: int = UNKNOWN
+    ) -> Meter:
+        phases = write_pair(phase, other_phase) if phase else ""
+        return Meter(KINDS[kind], bus, self.id_of(branch), SOURCES[source], phases)
 
     def id_of(self, branch: int) -> str | None:
         """Id of the branch in a row of the network; None at a bus."""
@@ -122,22 +148,39 @@ def list_ids(meters: Sequence[Meter]) -> list[str]:
     if not isinstance(meters, Records):
         return [meter.id for meter in meters]
     columns = meters.columns
-    kinds = [f"{kind}@" for kind in KINDS]
-    rows = zip(columns["kind"].tolist(), columns["bus"].tolist(), _list_branches(meters), strict=True)
+    kinds, buses = [f"{kind}@" for kind in KINDS], columns["bus"].tolist()
+    if "phase" in columns:
+        buses = [
+            f"{bus}.{of_bus}" if of_bus else bus for bus, of_bus in zip(buses, list_named_phases(meters), strict=True)
+        ]
+    rows = zip(columns["kind"].tolist(), buses, _list_branches(meters), strict=True)
     return [f"{kinds[kind]}{bus}:{branch}" if branch else f"{kinds[kind]}{bus}" for kind, bus, branch in rows]
 
 
 def list_columns(meters: Sequence[Meter]) -> dict[str, list[Any]]:
     """Attribute of ``Meter`` -> its values for ``meters``, kinds and sources as plain text."""
     if not isinstance(meters, Records):
-        columns = {name: [getattr(meter, name) for meter in meters] for name in ("kind", "bus", "branch", "source")}
+        columns = {name: [getattr(meter, name) for meter in meters] for name in LISTED}
         return columns | {name: [str(value) for value in columns[name]] for name in ("kind", "source")}
     return {
         "kind": list_texts([str(kind) for kind in KINDS], meters.columns["kind"]),
         "bus": meters.columns["bus"].tolist(),
         "branch": _list_branches(meters),
         "source": list_texts([str(source) for source in SOURCES], meters.columns["source"]),
+        "phases": list_named_phases(meters),
     }
+
+
+def list_named_phases(meters: Records[Meter]) -> list[str]:
+    """The attribute ``phases`` of each of ``meters``."""
+    if "phase" not in meters.columns:
+        return [""] * len(meters)
+    return list(map(write_pair, *(meters.columns[key].tolist() for key in PHASE_COLUMNS)))
+
+
+def write_pair(phase: int, other: int) -> str:
+    """The phases of a meter as text, such as "a" and "ab", from their places in PHASES; ``other``: UNKNOWN without."""
+    return PHASES[phase] if other == UNKNOWN else PHASES[phase] + PHASES[other]
 
 
 def _list_branches(meters: Records[Meter]) -> list[str | None]:
@@ -176,7 +219,8 @@ def tabulate_meters(network: Network, meters: Sequence[Meter]) -> MeterTable:
         branch = columns["branch"]
         if not table.in_service.all():
             branch = np.append(table.active_row, (NO_BRANCH, UNKNOWN))[branch]  # the last rows stand for -2 and -1
-        return MeterTable(table, columns["kind"], table.rows.find(columns["bus"]), branch)
+        named = np.stack([columns[key] for key in PHASE_COLUMNS]) if "phase" in columns else None
+        return MeterTable(table, columns["kind"], table.rows.find(columns["bus"]), branch, named)
     bus = np.array([meter.bus for meter in meters], dtype=np.int64)
     branch = rows_of_texts(network.active_branch_ids, [meter.branch for meter in meters])
     phases = None if table.nodes.is_balanced else _number_phases(meters)

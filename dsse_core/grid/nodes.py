@@ -74,6 +74,14 @@ class PhaseRows:
         is_there = (item >= 0) & (self.sets[item] & bit != 0)
         return np.where(is_there, self.first[item] + before, -1)
 
+    def of(self, items: np.ndarray) -> np.ndarray:
+        """The rows of all phases of ``items`` (k,), item by item."""
+        if self.is_balanced:
+            return items
+        counts = np.bitwise_count(self.sets[items]).astype(np.intp)
+        start = np.repeat(self.first[items] - np.cumsum(counts) + counts, counts)
+        return start + np.arange(len(start))
+
     def at(self, item: int) -> np.ndarray:
         """The rows of one item."""
         first = int(self.first[item])
