@@ -1,4 +1,4 @@
-"""Comparison of the decentralised states with the centralised estimate and the truth, by bus and by area."""
+"""Comparison of the decentralised states with the centralised estimate and the truth, by node and by area."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from agents.messages.packing import StateMessage
 from dsse_core.estimation.bad_data import BadDataReport
+from dsse_core.grid.nodes import name_node
 from dsse_core.grid.partition import Partition
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.results.state import AreaVoltages
@@ -19,13 +20,13 @@ from dsse_core.results.units import wrap_degrees
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Voltages:
-    """``vm`` p.u., ``va`` rad: shape (n_bus,), network order; nan where not known."""
+    """``vm`` p.u., ``va`` rad: shape (n_nodes,), network order; nan where not known."""
 
     vm: np.ndarray
     va: np.ndarray
 
     def __repr__(self) -> str:
-        return f"<Voltages of {len(self.vm)} buses, {np.isnan(self.vm).sum()} unknown>"
+        return f"<Voltages of {len(self.vm)} nodes, {np.isnan(self.vm).sum()} unknown>"
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +39,10 @@ class Gap:
 
 @dataclass(frozen=True, repr=False)
 class Comparison:
-    """Voltages of all buses from three sources, and their differences.
+    """Voltages of all nodes from three sources, and their differences.
 
-    ``decentralised`` takes each bus from the area that owns it. ``gap`` is to the centralised estimate of the
-    same telemetry, ``error`` to the truth; those per area run over every bus that the area sees. ``sigma``: standard
+    ``decentralised`` takes each node from the area that owns its bus. ``gap`` is to the centralised estimate of the
+    same telemetry, ``error`` to the truth; those per area run over every node that the area sees. ``sigma``: standard
     deviations by the owners. ``published``: the voltages of areas with an estimate, relative angles included.
     ``label``: newest scan of the states, and the newest time to which ages of its readings count.
     """
@@ -56,7 +57,7 @@ class Comparison:
     label: ScanLabel = NO_SCAN
 
     def __repr__(self) -> str:
-        buses, areas = len(self.truth.vm), len(self.published)
+        buses, areas = len(self.partition.network.buses), len(self.published)
         return f"<Comparison of {buses} buses: states of {areas} of {len(self.partition.areas)} areas>"
 
     @property
@@ -67,6 +68,16 @@ class Comparison:
     @property
     def gap(self) -> Gap:
         return largest_gap(self.decentralised, self.centralised)
+
+    @property
+    def gap_at(self) -> str | None:
+        """The name of the node with the largest gap, in p.u. or rad; None where no gap is known."""
+        one, other, network = self.decentralised, self.centralised, self.partition.network
+        size = np.fmax(abs(one.vm - other.vm), abs(np.radians(wrap_degrees(one.va - other.va))))
+        if np.isnan(size).all():
+            return None
+        node = int(np.nanargmax(size))
+        return name_node(network.node_buses[node], network.node_phases[node] if network.node_phases else "")
 
     @property
     def error(self) -> Gap:
@@ -98,14 +109,14 @@ def compare(
     An unknown truth (None), a failed centralised estimate (None) and an area without estimate count as nan. So do the
     angles of an area whose angles do not count from the substation.
     """
-    n = len(partition.network.buses)
+    n, bus = partition.network.n_nodes, partition.network.table.nodes.item
     whole, sigma, unknown = (Voltages(np.full(n, np.nan), np.full(n, np.nan)) for _ in range(3))
     by_area = {}
     for k, area in enumerate(partition.areas):
         state = states.get(area.name)
         rows = rows_of(partition, area.name)
         by_area[area.name] = _published(state, len(rows))
-        owned = partition.owner[rows] == k
+        owned = partition.owner[bus[rows]] == k
         whole.vm[rows[owned]] = by_area[area.name].vm[owned]
         whole.va[rows[owned]] = by_area[area.name].va[owned]
         if state is not None and state.buses:
@@ -141,8 +152,8 @@ def _published(state: StateMessage | None, n: int) -> Voltages:
 
 
 def rows_of(partition: Partition, area: str) -> np.ndarray:
-    """Rows in the whole network of the buses that ``area`` sees, in the area's order."""
-    return partition.rows_of_buses[area]
+    """Rows in the whole network of the nodes that ``area`` sees, in the area's order."""
+    return partition.rows_of_nodes[area]
 
 
 def largest_gap(one: Voltages, other: Voltages) -> Gap:

@@ -15,7 +15,7 @@ from dsse_core.results.units import wrap_degrees
 def gap_history(outcome: RunOutcome) -> dict[str, np.ndarray]:
     """Area -> array of shape (n_state, 3), one row for each state that it published.
 
-    Columns: time (s), the largest differences to the centralised estimate over all buses that the area sees in
+    Columns: time (s), the largest differences to the centralised estimate over all nodes that the area sees in
     magnitude (p.u.) and angle (degrees; nan while angles do not count from the substation, and both nan where
     there is no centralised estimate).
     """

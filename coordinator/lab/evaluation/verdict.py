@@ -12,6 +12,7 @@ from coordinator.watch.observe.observer import Observer
 class Verdict:
     """The answer of a run. ``gap``: to the centralised estimate; ``error``: to the truth; None where not known.
 
+    ``gap_at``: the node of the largest gap, such as 671.b, or 18 in a balanced network.
     ``reason``: of no consensus, else None. ``messages``, ``bytes``, ``lost``: totals of all areas up to their
     last report, repeats included. ``wall_s``: from the call to the verdict. ``virtual_s``: the same on the
     simulator's clock, None in a run of processes.
@@ -21,6 +22,7 @@ class Verdict:
     reason: str | None
     gap_vm_pu: float | None
     gap_va_deg: float | None
+    gap_at: str | None
     error_vm_pu: float | None
     error_va_deg: float | None
     exchanges: int
@@ -42,6 +44,7 @@ def make_verdict(
         reason=reason,
         gap_vm_pu=gap.vm_pu,
         gap_va_deg=gap.va_deg,
+        gap_at=comparison.gap_at,
         error_vm_pu=error.vm_pu,
         error_va_deg=error.va_deg,
         exchanges=observer.exchanges,

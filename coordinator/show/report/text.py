@@ -44,17 +44,19 @@ def describe_run(scenario: Scenario) -> str:
 
 
 def tabulate_gaps(result: RunOutcome) -> TextTable:
-    """The largest gaps and errors of all buses: header and rows."""
+    """The largest gaps and errors of all buses, or of all nodes of buses with phases: header and rows."""
     verdict, central = result.verdict, result.comparison.centralised_error
+    is_balanced = result.scenario.network.table.nodes.is_balanced
+    at = "" if is_balanced or verdict.gap_at is None else f", at {verdict.gap_at}"
     rows: list[tuple[str, ...]] = [
-        ("decentralised to centralised (same telemetry)", _pu(verdict.gap_vm_pu), _deg(verdict.gap_va_deg))
+        (f"decentralised to centralised (same telemetry{at})", _pu(verdict.gap_vm_pu), _deg(verdict.gap_va_deg))
     ]
     if result.comparison.knows_truth:
         rows += [
             ("decentralised to truth", _pu(verdict.error_vm_pu), _deg(verdict.error_va_deg)),
             ("centralised to truth", _pu(central.vm_pu), _deg(central.va_deg)),
         ]
-    return ("largest difference over all buses", "p.u.", "deg"), rows
+    return (f"largest difference over all {'buses' if is_balanced else 'nodes'}", "p.u.", "deg"), rows
 
 
 def tabulate_areas(result: RunOutcome) -> TextTable:
