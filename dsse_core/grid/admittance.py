@@ -11,9 +11,10 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.gauge import PIN, project_charging
 from dsse_core.grid.network import Network
 from dsse_core.grid.network_table import NetworkTable
-from dsse_core.grid.nodes import PHASE_ANGLE
+from dsse_core.grid.nodes import PHASE_ANGLE, list_phases
 
 GROUNDED = 1e-13  # share of a node's admittance, below ten times of which a pivot is rounding: without path to ground
 
@@ -41,20 +42,47 @@ def build_admittance(network: Network, *, with_shunts: bool = True) -> Admittanc
     with phases stands at each of them.
     """
     table, n = network.table, network.n_nodes
-    y = _find_primitives(table, with_shunts)
+    y = _find_primitives(network, with_shunts)
     shunt = (table.shunt * with_shunts)[table.nodes.item]
-    return Admittance(
-        sp.coo_array((np.concatenate([y, shunt, y]), table.of_stacked), shape=(n + len(table.ports), n)).tocsr()
-    )
+    entries, (row, column) = np.concatenate([y, shunt, y]), table.of_stacked
+    if network.gauge.pinned or network.gauge.ungrounded:
+        of_gauge = _find_gauge_shunts(network, with_shunts)
+        entries, row, column = (np.concatenate(both) for both in zip((entries, row, column), of_gauge, strict=True))
+    return Admittance(sp.coo_array((entries, (row, column)), shape=(n + len(table.ports), n)).tocsr())
 
 
-def _find_primitives(table: NetworkTable, with_shunts: bool) -> np.ndarray:
+def _find_primitives(network: Network, with_shunts: bool) -> np.ndarray:
     """The entries of Yp of the branches in service, (nnz,), in the order of ``NetworkTable.of_stacked``."""
+    table = network.table
     if table.nodes.is_balanced:
         return np.concatenate(find_two_ports(table, table.active, with_shunts))
-    primitives = [table.primitives[branch] for branch in table.active.tolist()]
-    matrices = [(p.y if with_shunts else p.y - p.charging).ravel() for p in primitives]
-    return np.concatenate([np.zeros(0), *matrices])
+    primitives, ungrounded, matrices = table.primitives, set(network.gauge.ungrounded), [np.zeros(0)]
+    for branch in table.active.tolist():
+        p = primitives[branch]
+        is_ungrounded = int(table.from_bus[branch]) in ungrounded, int(table.to_bus[branch]) in ungrounded
+        y = p.y if with_shunts else p.y - p.charging
+        if with_shunts and any(is_ungrounded):
+            y = p.y - p.charging + project_charging(p.charging, len(list_phases(p.from_phases)), is_ungrounded)
+        matrices.append(y.ravel())
+    return np.concatenate(matrices)
+
+
+def _find_gauge_shunts(network: Network, with_shunts: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Entries, rows and columns of what the gauge adds to ybus: its own shunts, and of bus shunts what takes the zero
+    sequence out of them.
+    """
+    gauge, shunts = network.gauge, []
+    for bus in gauge.pinned:
+        if not with_shunts or bus in gauge.ungrounded:
+            shunts.append((bus, PIN / len(network.nodes_at(bus)) ** 2))
+    for bus in gauge.ungrounded if with_shunts else ():
+        shunts.append((bus, -network.table.shunt[network.row[bus]] / len(network.nodes_at(bus))))
+    nodes = [network.nodes_at(bus) for bus, _ in shunts]
+    return (
+        np.concatenate([np.zeros(0), *(np.full(len(of) ** 2, y) for of, (_, y) in zip(nodes, shunts, strict=True))]),
+        np.concatenate([np.zeros(0, dtype=np.int64), *(np.repeat(of, len(of)) for of in nodes)]),
+        np.concatenate([np.zeros(0, dtype=np.int64), *(np.tile(of, len(of)) for of in nodes)]),
+    )
 
 
 def find_two_ports(

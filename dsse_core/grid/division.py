@@ -357,7 +357,10 @@ def _cut_out(
         place = int(np.searchsorted(rows, network.row[bus]))
         buses = _bare(buses, place, _phases_of(network, branches, bus))
     held = take_items(network.branches, branches)
-    return Network(name, network.base_mva, buses, held, tuple(generators), tuple(loads))
+    ids = network.table.bus_id[rows]
+    owned = np.setdiff1d(ids, _buses_at(parent))
+    gauge = None if network.table.nodes.is_balanced else network.gauge.within(ids, owned)
+    return Network(name, network.base_mva, buses, held, tuple(generators), tuple(loads), gauge)
 
 
 def _bare(buses: Sequence[Bus], place: int, phases: str) -> Sequence[Bus]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.columns import Records, read_given
+from dsse_core.grid.gauge import Gauge, find_gauge
 from dsse_core.grid.loads import Legs, Load, find_nominal
 from dsse_core.grid.network_table import NetworkTable, tabulate
 from dsse_core.grid.nodes import PHASES, Primitive, list_phases, read_phases
@@ -118,6 +119,7 @@ class Network:
     branches: Sequence[Branch]
     generators: tuple[Generator, ...] = ()
     loads: tuple[Load, ...] = ()  # of buses with phases, whose ``p_load`` and ``q_load`` are 0
+    gauge_of_whole: Gauge | None = None  # of a part of a network, which does not see what grounds it
 
     def __post_init__(self) -> None:
         if problems := list(_find_problems(self)):
@@ -152,6 +154,13 @@ class Network:
     def row(self) -> dict[int, int]:
         """Bus id -> array position; ``table.rows`` finds the positions of arrays of ids."""
         return {bus: row for row, bus in enumerate(self.table.bus_id.tolist())}
+
+    @cached_property
+    def gauge(self) -> Gauge:
+        """The buses whose voltages to ground are by a gauge, and those that hold its shunts; none if balanced."""
+        if self.gauge_of_whole is not None:
+            return self.gauge_of_whole
+        return find_gauge(self.table, None if self.slack is None else self.table.rows.row_of(self.slack.bus))
 
     @property
     def n_nodes(self) -> int:

@@ -183,7 +183,7 @@ def _newton_step(
     No step moves a voltage by more than MAX_DVM and MAX_DVA, as in the estimate.
     """
     try:
-        step = spla.splu(plan.jacobian(x)[:, unknown].tocsc()).solve(mismatch)
+        step = spla.splu(plan.newton_matrix(x, mismatch)[:, unknown].tocsc()).solve(mismatch)
     except RuntimeError:  # SuperLU: exactly singular
         return None
     whole = np.zeros(len(x))

@@ -94,6 +94,24 @@ class PowerFlowPlan:
         drawn = legs.differentiate(find_voltages(x), nominal)
         return sp.csr_array(H + sp.vstack([drawn[self.p_rows].real, drawn[self.q_rows].imag], format="csr"))
 
+    def newton_matrix(self, x: np.ndarray, mismatch: np.ndarray) -> sp.csr_array:
+        """The matrix of Newton's step at x, whose right side is the ``mismatch``: the derivatives of
+        ``find_injections``.
+
+        With phases those of currents ``conj(m / v)``, m the mismatch of a node: ``v (dm / v - m dv / v^2)``. Beside
+        loads between phases powers can all be met at a state where the voltage of a node is 0 and its current is not.
+        """
+        J = self.jacobian(x)
+        if self.network.table.nodes.is_balanced:
+            return J
+        (p, q), vm = mismatch.reshape(2, -1), x[self.network.n_nodes + self.p_rows]
+        turn = sp.block_array(
+            [[sp.diags_array(-q), sp.diags_array(p / vm)], [sp.diags_array(p), sp.diags_array(q / vm)]]
+        )
+        columns = np.concatenate([self.p_rows, self.network.n_nodes + self.p_rows])
+        at = sp.csr_array((np.ones(len(columns)), (np.arange(len(columns)), columns)), shape=J.shape)
+        return sp.csr_array(J + turn @ at)
+
     @cached_property
     def _varying(self) -> tuple[Legs, np.ndarray, np.ndarray] | None:
         """The legs whose powers depend on voltages, the nominal voltages, and what they draw there, (n_nodes,) each;
@@ -179,7 +197,7 @@ def _find_problems(
         names = ", ".join(map(str, unreached))
         yield f"no path of branches in service joins bus {names} to the slack bus {slack_bus}"
     if not network.table.nodes.is_balanced:
-        yield from _find_problems_of_phases(network, slack_bus)
+        yield from _find_problems_of_phases(network, slack_bus, extra_load)
     if not (math.isfinite(slack_vm) and slack_vm > 0):
         yield f"the slack voltage is {slack_vm}; it must be a positive number in p.u."
     for bus, load in extra_load.items():
@@ -189,7 +207,8 @@ def _find_problems(
             yield f"the extra load at bus {bus} is {load}, not a finite number"
 
 
-def _find_problems_of_phases(network: Network, slack_bus: int) -> Iterator[str]:
+def _find_problems_of_phases(network: Network, slack_bus: int, to_ground: Iterable[int]) -> Iterator[str]:
+    """``to_ground``: buses with further loads from each phase to ground."""
     nodes = network.table.nodes
     for row in np.setdiff1d(np.arange(len(nodes)), network.table.port_node).tolist():
         bus = network.buses[nodes.item[row]].id
@@ -198,6 +217,12 @@ def _find_problems_of_phases(network: Network, slack_bus: int) -> Iterator[str]:
     for generator in network.generators:
         if generator.control is Control.VOLTAGE and generator.bus != slack_bus:
             yield f"a generator holds the voltage of bus {generator.bus}, which has phases; give it its P and Q"
+    supplied = [(load.bus, f"the load {load.bus}.{load.phases}") for load in network.loads if load.phases in PHASES]
+    supplied += [(g.bus, f"the generator at bus {g.bus}") for g in network.generators if g.control is Control.POWER]
+    supplied += [(bus, f"the extra load at bus {bus}") for bus in to_ground]
+    for bus, called in supplied:
+        if bus in network.gauge.ungrounded:
+            yield f"{called} stands between phase and ground in a part without ground; use a leg between two phases"
 
 
 def _slack_of(network: Network, slack: tuple[int, float] | None) -> tuple[int, float, float]:

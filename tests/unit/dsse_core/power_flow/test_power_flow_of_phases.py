@@ -12,7 +12,7 @@ from dsse_core.grid.loads import Load, find_nominal
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.grid.nodes import Primitive
-from dsse_core.grid.primitives import Connection, build_bank, build_line, connect
+from dsse_core.grid.primitives import Connection, Side, build_bank, build_line, connect
 from dsse_core.power_flow.batch import solve_power_flow_batch
 from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import solve_power_flow
@@ -110,9 +110,10 @@ def test_equal_phases_have_the_voltages_of_the_balanced_network() -> None:
     primitive = build_line("abc", z * np.eye(3), charging * np.eye(3))
     loads = tuple(Load(2, phase, s) for phase in "abc")
     network = Network("three", 1.0, buses, (branch(1, 2, primitive),), balanced.generators, loads)
-    one, three = solve_power_flow(balanced, method="newton"), solve_power_flow(network)
+    one = solve_power_flow(balanced, method="newton", tolerance=1e-14)
+    three = solve_power_flow(network, tolerance=1e-14)
     assert three.vm == pytest.approx(np.repeat(one.vm, 3), abs=1e-13)
-    assert three.iterations == one.iterations
+    assert three.iterations <= one.iterations
 
 
 def test_what_a_power_flow_with_phases_cannot_serve_is_refused_by_name(feeder: Network) -> None:
@@ -128,10 +129,12 @@ def test_what_a_power_flow_with_phases_cannot_serve_is_refused_by_name(feeder: N
         solve_power_flow(replace(feeder, loads=(*feeder.loads, Load(5, "a", 9.0))))
 
 
-def test_the_far_side_of_a_bank_without_ground_is_refused_by_name(feeder: Network) -> None:
-    bank = branch(3, 5, build_bank(connect("abc", "grounded"), connect("abc", "delta"), 2 - 12j))
+def test_phases_that_no_winding_reaches_are_refused_by_name(feeder: Network) -> None:
+    bank = branch(3, 5, build_bank(connect("abc", "grounded"), Side("abc", ("ab", "ab", "ab"), (1.7,) * 3), 2 - 12j))
     with pytest.raises(InvalidInputError, match="nothing joins phases of bus 5 to the source or to ground"):
-        solve_power_flow(replace(feeder, branches=(*feeder.branches[:3], bank)))
+        solve_power_flow(
+            replace(feeder, branches=(*feeder.branches[:3], bank), loads=(), generators=feeder.generators[:1])
+        )
 
 
 def test_a_delta_reversed_on_the_high_side_makes_the_low_side_lag_by_30_degrees() -> None:

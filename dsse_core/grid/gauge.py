@@ -1,0 +1,136 @@
+"""Gauge of parts without ground, as behind a delta winding: a shunt fixes their voltages to ground, not physics.
+
+A part is a set of buses whose common voltage, one for all conductors, draws no current: lines carry it on, banks with a
+grounded winding end it. A shunt y 11'/n^2 at one of its buses makes the mean of the n voltages there 0. It carries no
+current, since the currents of such a part add up to 0. Where line charging and bus shunts alone join a part to ground,
+weakly, their share of the zero sequence is left out. There only voltages between phases mean anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from dsse_core.grid.network_table import NetworkTable
+from dsse_core.grid.nodes import list_phases
+
+WEAK = 1e-4  # share of the largest admittances of a part, below which what it draws to ground is no ground
+PIN = 1.0  # p.u., the admittance of the shunt
+
+
+@dataclass(frozen=True, slots=True)
+class Gauge:
+    """Buses, by ids. ``ungrounded``: their voltages to ground are by the gauge, those between phases by physics.
+
+    ``pinned``: buses with the shunt, one of each part. Those that are not ungrounded have a ground by charging and
+    bus shunts only, and the shunt stands in for it where these are left out.
+    """
+
+    ungrounded: tuple[int, ...] = ()
+    pinned: tuple[int, ...] = ()
+
+    def within(self, buses: np.ndarray, owned: np.ndarray) -> Gauge:
+        """The gauge of a part of the network with ``buses``, of which it holds the shunts of those ``owned``."""
+        there, own = set(buses.tolist()), set(owned.tolist())
+        return Gauge(tuple(b for b in self.ungrounded if b in there), tuple(b for b in self.pinned if b in own))
+
+
+@dataclass(frozen=True)
+class _Links:
+    """Effects of branches on the common voltages of their ends.
+
+    ``joins``: rows of two buses and the ratio of the common voltage of the second one to the first one's. ``grounded``:
+    rows of buses.
+    """
+
+    joins: list[tuple[int, int, float]]
+    grounded: set[int]
+
+
+def find_gauge(table: NetworkTable, source: int | None) -> Gauge:
+    """The gauge of a whole network with its source at the bus of row ``source``; None: nothing is known of ground."""
+    if source is None or table.nodes.is_balanced:
+        return Gauge()
+    links = _find_links(table)
+    ungrounded, pinned, ids = [], [], table.bus_id.tolist()
+    for common in _find_parts(len(ids), links, source):
+        rows = sorted(common)
+        is_weak = _is_weakly_grounded(table, common)
+        ungrounded += [ids[row] for row in rows if is_weak]
+        pinned.append(ids[max(rows, key=lambda row: (int(table.phases[row]).bit_count(), -row))])
+    return Gauge(tuple(sorted(ungrounded, key=ids.index)), tuple(pinned))
+
+
+def project_charging(charging: np.ndarray, n_from: int, is_ungrounded: tuple[bool, bool]) -> np.ndarray:
+    """``charging`` over the ports of a branch, of which ``n_from`` are from ends, without the zero sequence of the ends
+    that are ungrounded.
+    """
+    n = len(charging)
+    P = np.eye(n)
+    for ports, without in zip((slice(0, n_from), slice(n_from, n)), is_ungrounded, strict=True):
+        if without and len(P[ports]):
+            P[ports, ports] -= 1 / len(P[ports])
+    projected: np.ndarray = P @ charging @ P
+    return projected
+
+
+def _find_links(table: NetworkTable) -> _Links:
+    links = _Links([], set())
+    for place, k in enumerate(table.active.tolist()):
+        p = table.primitives[k]
+        y, n_from = p.y - p.charging, len(list_phases(p.from_phases))
+        of_end = np.zeros((len(y), 2))
+        of_end[:n_from, 0] = of_end[n_from:, 1] = 1.0
+        _, s, directions = np.linalg.svd(y @ of_end / abs(y).sum(axis=1).max(initial=1e-300), full_matrices=False)
+        free = directions.conj()[s < WEAK]  # common voltages of the two ends that draw nothing
+        f, t = int(table.f[place]), int(table.t[place])
+        if len(free) == 0:
+            links.grounded.update((f, t))
+        elif len(free) == 1:
+            one, other = abs(free[0]).tolist()
+            if min(one, other) > WEAK:
+                links.joins.append((f, t, other / one))
+            else:
+                links.grounded.add(t if one > other else f)
+    return links
+
+
+def _find_parts(n_bus: int, links: _Links, source: int) -> Iterator[dict[int, float]]:
+    """Each part without ground but by shunts and charging: row of a bus -> its common voltage, p.u."""
+    beside: list[list[tuple[int, float]]] = [[] for _ in range(n_bus)]
+    for f, t, ratio in links.joins:
+        beside[f].append((t, ratio))
+        beside[t].append((f, 1 / ratio))
+    grounded, seen = links.grounded | {source}, set[int]()
+    for start in range(n_bus):
+        if start in seen:
+            continue
+        common, has_ground, queue = {start: 1.0}, False, [start]
+        for row in queue:  # the queue grows
+            has_ground = has_ground or row in grounded
+            for other, ratio in beside[row]:
+                if other not in common:
+                    common[other] = common[row] * ratio
+                    queue.append(other)
+                elif abs(common[other] - common[row] * ratio) > WEAK * common[other]:
+                    has_ground = True  # a loop whose ratios differ
+        seen.update(common)
+        if not has_ground:
+            yield common
+
+
+def _is_weakly_grounded(table: NetworkTable, common: dict[int, float]) -> bool:
+    """True where charging and bus shunts draw next to nothing at the ``common`` voltage of a part."""
+    of_bus = np.zeros(len(table.bus_id))
+    of_bus[list(common)] = list(common.values())
+    v = of_bus[table.nodes.item]
+    to_ground, size = table.shunt[table.nodes.item] * v, np.zeros(len(v))
+    for place, k in enumerate(table.active.tolist()):
+        p, ends = table.primitives[k], (place, len(table.active) + place)
+        node = table.port_node[np.concatenate([table.ports.at(end) for end in ends])]
+        np.add.at(to_ground, node, p.charging @ v[node])
+        np.add.at(size, node, abs(p.y).sum(axis=1))
+    within = v != 0
+    return bool(abs(to_ground[within]).max() < WEAK * size[within].max())
