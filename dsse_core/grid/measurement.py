@@ -39,9 +39,15 @@ class MeasurementKind(StrEnum):
     def of_injection(self) -> bool:
         return self in _OF_INJECTION
 
+    @property
+    def has_total(self) -> bool:
+        """True for powers, whose phases add up."""
+        return self in _POWERS
+
 
 _OF_BRANCH = (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW, MeasurementKind.CURRENT)
 _OF_INJECTION = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
+_POWERS = (*_OF_INJECTION, MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW)
 
 
 class Source(StrEnum):
@@ -56,7 +62,8 @@ class Source(StrEnum):
 class Meter:
     """A quantity that can be measured: its kind and its place (for flows, the branch and the end's bus).
 
-    ``phases`` of that bus: "" in a balanced network, "a" between phase a and the ground, "ab" between a and b.
+    ``phases`` of that bus: "" in a balanced network, "a" between phase a and the ground, "ab" between a and b. Where
+    buses have phases, P and Q without are totals: in p.u. the mean over all phases at the bus or the end of the branch.
     """
 
     kind: MeasurementKind
@@ -202,6 +209,8 @@ def _find_problems_of_phases(network: Network, meter: Meter) -> Iterable[str]:
     if not meter.phases and not bus.phases:
         return
     wanted, most = list_phases(meter.phases), 1 if meter.kind.of_branch else 2
+    if bus.phases and not meter.phases and meter.kind.has_total:
+        return
     if not bus.phases:
         yield f"meter {meter.id}: bus {bus.id} has no phases; leave them out"
     elif not meter.phases or not 0 < len(wanted) <= most or len(set(wanted)) < len(wanted):

@@ -2,7 +2,7 @@
 
 With the metered node's voltage ``u = C v`` and the metered current ``i = Y v`` one formula serves all kinds:
 ``s = u conj(i)`` (P, Q of injections and of both branch ends), ``|i|``, ``|u|`` and ``arg u``. Injections
-and flows differ only in the rows of ``Y`` (a node's or a port's).
+and flows differ only in the rows of ``Y`` (a node's or a port's). A total is the mean of the rows of its phases.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import scipy.sparse as sp
 
 from dsse_core.grid.admittance import Admittance
 from dsse_core.grid.measurement import MeasurementKind, Meter
-from dsse_core.grid.meter_table import KINDS, tabulate_meters
+from dsse_core.grid.meter_table import KINDS, average, find_first, tabulate_meters
 from dsse_core.grid.network import Network
 
 CURRENT_FLOOR = 1e-9  # p.u.; below it the derivative of |i| is undefined and taken as 0
@@ -27,26 +27,28 @@ VOLTAGE_FLOOR = 1e-9  # p.u.; least divisor |u| of the derivatives of |u| and ar
 class MeasurementModel:
     """The measurement functions of ``meters``; ``x = [va; vm]``, shape (2 n_nodes,), rad and p.u.
 
-    ``y`` (n_meas, n_nodes) holds the admittance row of each meter, ``node`` (n_meas,) its node. ``other``
-    (n_meas,): the node to which its voltage counts, -1 for the ground; None where that is so for all.
+    ``kinds``: (n_meas,). ``y`` (n_row, n_nodes) holds admittances, ``node`` (n_row,) the node of each row. ``other``
+    (n_row,): the node to which its voltage counts, -1 for the ground; None where that is so for all. ``of_meter``
+    (n_row,): the meter of each row, see ``MeterTable.spread``; None where each has one.
     """
 
     kinds: np.ndarray
     node: np.ndarray
     y: sp.csr_array
-    meter_row: np.ndarray  # (nnz,): the meter of each stored entry of y
+    row: np.ndarray  # (nnz,): the row of each stored entry of y
     at_node: np.ndarray  # (nnz,): C at the entry's column, 1 at the metered node and -1 at the other one
     other: np.ndarray | None = None
+    of_meter: np.ndarray | None = None
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """h(x), shape (n_meas,), p.u. and rad."""
         u, i, _, _ = self._phasors(x)
-        return self.read(u, i)
+        return average(self.read(u, i), self.of_meter)
 
     def subtract(self, z: np.ndarray, h: np.ndarray) -> np.ndarray:
         """z - h, shape (n_meas,); differences of angles are wrapped to (-pi, pi]."""
         r = np.asarray(z - h)
-        angles = self._rows[-1]
+        angles = self._angles
         if angles.size:
             r[angles] = np.pi - (np.pi - r[angles]) % (2 * np.pi)
         return r
@@ -70,30 +72,41 @@ class MeasurementModel:
         """
         u, i, vm, phase = self._phasors(x)
         of_u, of_i = self.weigh(u, i)
-        row, column = self.meter_row, self.y.indices
+        row, column = self.row, self.y.indices
         along = (of_u[row] * self.at_node + of_i[row] * self.y.data) * phase[column]
-        return self.read(u, i), np.concatenate([-along.imag * vm[column], along.real])[self._pattern[0]]
+        found = np.concatenate([-along.imag * vm[column], along.real])
+        return average(self.read(u, i), self.of_meter), self._join(found)
+
+    def _join(self, derivatives: np.ndarray) -> np.ndarray:
+        """The entries of H from derivatives by va, then by vm, of all stored entries of y."""
+        places = self._pattern[0]
+        if self.of_meter is None:
+            return np.asarray(derivatives[places])
+        share = 1 / np.bincount(self.of_meter)[self.of_meter[self.row]]
+        return np.bincount(places, derivatives * np.tile(share, 2))
 
     def linearize_compiled(self, x: np.ndarray, *, with_H: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """``linearize_entries``, or without ``with_H`` h(x) and no entries, by compiled code: needs numba."""
         from dsse_core.grid import derivatives
 
-        places = self._pattern[0] if with_H else self._pattern[0][:0]
+        places = self._pattern[0] if self.of_meter is None else np.arange(2 * self.y.nnz)
         y, floors = self.y, (CURRENT_FLOOR, VOLTAGE_FLOOR)
-        of_meters = self._reads, y.indptr, y.indices, y.data, self.at_node
-        found: tuple[np.ndarray, np.ndarray] = derivatives.linearize(x, *of_meters, places, floors)
-        return found
+        of_rows = self._reads, y.indptr, y.indices, y.data, self.at_node
+        h, entries = derivatives.linearize(x, *of_rows, places if with_H else places[:0], floors)
+        if self.of_meter is None:
+            return h, entries
+        return average(h, self.of_meter), self._join(entries) if with_H else entries
 
     @cached_property
     def _reads(self) -> np.ndarray:
-        """The quantity that each meter reads, (n_meas,), by the numbers of ``derivatives``."""
+        """The quantity that each row reads, (n_row,), by the numbers of ``derivatives``."""
         reads = self._is_reactive.astype(np.int8)
         for k, rows in enumerate(self._rows):
             reads[rows] = 2 + k
         return reads
 
     def read(self, u: np.ndarray, i: np.ndarray) -> np.ndarray:
-        """h of ``u`` and ``i``, shape (n_meas,) each."""
+        """Readings of the rows of ``u`` and ``i``, shape (n_row,) each."""
         current, magnitude, angle = self._rows
         s = u * i.conj()
         h: np.ndarray = np.where(self._is_reactive, s.imag, s.real)
@@ -106,7 +119,7 @@ class MeasurementModel:
         return h
 
     def weigh(self, u: np.ndarray, i: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """``of_u`` and ``of_i`` of every meter, shape (n_meas,), complex; see ``linearize``."""
+        """``of_u`` and ``of_i`` of every row, shape (n_row,), complex; see ``linearize_entries``."""
         current, magnitude, angle = self._rows
         of_u, of_i = i.conj() * self._turn, u.conj() * self._turn_back
         if current.size:
@@ -125,11 +138,15 @@ class MeasurementModel:
     @cached_property
     def _pattern(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The pattern of H: the order in which its rows hold the derivatives by va, then by vm, of all stored entries
-        of y; the columns; the ends of rows.
+        of y, with totals the place of each in H; the columns; the ends of rows.
         """
-        order = np.argsort(np.concatenate([self.meter_row, self.meter_row]), kind="stable")
-        indices = np.concatenate([self.y.indices, self.y.indices + self.y.shape[1]])[order]
-        return order, indices, 2 * self.y.indptr
+        columns = np.concatenate([self.y.indices, self.y.indices + self.y.shape[1]])
+        if self.of_meter is not None:
+            meter, n_meas, width = np.tile(self.of_meter[self.row], 2), len(self.kinds), 2 * self.y.shape[1]
+            there, places = np.unique(meter.astype(np.int64) * width + columns, return_inverse=True)
+            return places, there % width, np.searchsorted(there, width * np.arange(n_meas + 1))
+        order = np.argsort(np.concatenate([self.row, self.row]), kind="stable")
+        return order, columns[order], 2 * self.y.indptr
 
     def _phasors(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         n = self.y.shape[1]
@@ -138,19 +155,33 @@ class MeasurementModel:
         v = vm * phase
         return self.find_voltages(v), self.y @ v, vm, phase
 
+    @cached_property
+    def first_rows(self) -> np.ndarray:
+        """The first row of each meter, (n_meas,)."""
+        return np.arange(len(self.kinds)) if self.of_meter is None else find_first(self.of_meter)
+
     def find_voltages(self, v: np.ndarray) -> np.ndarray:
-        """The metered voltages u = C v, (n_meas,), for those of all nodes, (n_nodes,)."""
+        """The metered voltages u = C v, (n_row,), for those of all nodes, (n_nodes,)."""
         u: np.ndarray = v[self.node]
         return u if self.other is None else u - np.where(self.other < 0, 0.0, v[self.other])
 
     @cached_property
     def _rows(self) -> list[np.ndarray]:
         """The rows of the meters that read no power: of |i|, of |u| and of arg u."""
-        return [np.flatnonzero(self.kinds == kind) for kind in _NO_POWER]
+        return [np.flatnonzero(self._kinds_of_rows == kind) for kind in _NO_POWER]
+
+    @cached_property
+    def _angles(self) -> np.ndarray:
+        """The meters of angles."""
+        return np.flatnonzero(self.kinds == MeasurementKind.VA)
+
+    @cached_property
+    def _kinds_of_rows(self) -> np.ndarray:
+        return self.kinds if self.of_meter is None else self.kinds[self.of_meter]
 
     @cached_property
     def _is_reactive(self) -> np.ndarray:
-        return np.isin(self.kinds, (MeasurementKind.Q_INJECTION, MeasurementKind.Q_FLOW))
+        return np.isin(self._kinds_of_rows, (MeasurementKind.Q_INJECTION, MeasurementKind.Q_FLOW))
 
     @cached_property
     def _turn(self) -> np.ndarray:
@@ -167,38 +198,48 @@ _NO_POWER = (MeasurementKind.CURRENT, MeasurementKind.VM, MeasurementKind.VA)
 
 def stack_models(above: MeasurementModel, below: MeasurementModel) -> MeasurementModel:
     """The rows of two models of one network."""
+    n_above, n_row, both = len(above.kinds), len(above.node), (above, below)
+    meters = [np.arange(len(of.node)) if of.of_meter is None else of.of_meter for of in both]
+    have_one_row = above.of_meter is None and below.of_meter is None
     return MeasurementModel(
         kinds=np.concatenate([above.kinds, below.kinds]),
         node=np.concatenate([above.node, below.node]),
         y=sp.csr_array(sp.vstack([above.y, below.y], format="csr")),
-        meter_row=np.concatenate([above.meter_row, len(above.kinds) + below.meter_row]),
+        row=np.concatenate([above.row, n_row + below.row]),
         at_node=np.concatenate([above.at_node, below.at_node]),
         other=None if above.other is None or below.other is None else np.concatenate([above.other, below.other]),
+        of_meter=None if have_one_row else np.concatenate([meters[0], n_above + meters[1]]),
     )
 
 
 def build_measurement_model(network: Network, admittance: Admittance, meters: Sequence[Meter]) -> MeasurementModel:
     """The model of ``meters``: of each its node and its row of ``stacked``, that of the node or of the port."""
-    table = tabulate_meters(network, meters)
+    table, of_meter = tabulate_meters(network, meters).spread()
     rows = np.where(table.branch < 0, table.node, network.n_nodes + table.port)
-    return build_model_of_rows(sp.csr_array(admittance.stacked[rows]), table.kind, table.node, table.other)
+    return build_model_of_rows(sp.csr_array(admittance.stacked[rows]), table.kind, table.node, table.other, of_meter)
 
 
 def build_model_of_rows(
-    y: sp.csr_array, kind: np.ndarray, node: np.ndarray, other: np.ndarray | None = None
+    y: sp.csr_array,
+    kind: np.ndarray,
+    node: np.ndarray,
+    other: np.ndarray | None = None,
+    of_meter: np.ndarray | None = None,
 ) -> MeasurementModel:
-    """The model of meters of ``kind``, places in KINDS, with their rows ``y`` of admittances and their nodes."""
+    """The model of rows of ``kind``, places in KINDS, with their rows ``y`` of admittances and their nodes."""
     if other is not None:
         y = _with_entries(y, other)
-    meter_row = np.repeat(np.arange(len(kind)), np.diff(y.indptr))
-    at_node = (y.indices == node[meter_row]).astype(float)
+    row = np.repeat(np.arange(len(kind)), np.diff(y.indptr))
+    at_node = (y.indices == node[row]).astype(float)
+    kinds = np.array(KINDS, dtype="<U12")[kind]
     return MeasurementModel(
-        kinds=np.array(KINDS, dtype="<U12")[kind],
+        kinds=kinds if of_meter is None else kinds[find_first(of_meter)],
         node=node,
         y=y,
-        meter_row=meter_row,
-        at_node=at_node if other is None else at_node - (y.indices == other[meter_row]),
+        row=row,
+        at_node=at_node if other is None else at_node - (y.indices == other[row]),
         other=other,
+        of_meter=of_meter,
     )
 
 

@@ -13,13 +13,15 @@ from dsse_core.grid.columns import Records, Rows, rows_of_texts
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Network
 from dsse_core.grid.network_table import NetworkTable
-from dsse_core.grid.nodes import PHASES, list_phases
+from dsse_core.grid.nodes import PHASES, PhaseRows, list_phases
 
 KINDS, SOURCES = tuple(MeasurementKind), tuple(Source)
 NO_BRANCH, UNKNOWN = -2, -1
+TOTAL = PHASES.index("")  # stands for all phases where buses have some
 UNKNOWN_BRANCH = "?"  # stands for the id of a branch that the network does not have
 _IS_OF_INJECTION = np.array([kind.of_injection for kind in KINDS])
 _IS_OF_BRANCH = np.array([kind.of_branch for kind in KINDS])
+_HAS_TOTAL = np.array([kind.has_total for kind in KINDS])
 LISTED = ("kind", "bus", "branch", "source", "phases")  # attributes of a meter
 PHASE_COLUMNS = ("phase", "other_phase")  # of meters in a network with phases, see ``MeterTable.phases``
 _CODE_OF_KIND = {id(kind): k for k, kind in enumerate(KINDS)}  # members are singletons, and hashing them takes long
@@ -29,8 +31,8 @@ _CODE_OF_KIND = {id(kind): k for k, kind in enumerate(KINDS)}  # members are sin
 class MeterTable:
     """Columns of meters, shape (n_meas,) each. ``kind``: position in KINDS. ``bus``: row of the bus, UNKNOWN where the
     network has no such bus. ``branch``: row of the branch among those in service, UNKNOWN where it is not among them,
-    NO_BRANCH for a meter at a bus. ``phases`` (2, n_meas): the phase that is metered and, where a meter stands between
-    two, the other one, else UNKNOWN; None in a balanced network.
+    NO_BRANCH for a meter at a bus. ``phases`` (2, n_meas): the phase that is metered, TOTAL for all of them, and, where
+    a meter stands between two, the other one, else UNKNOWN; None in a balanced network.
     """
 
     network: NetworkTable
@@ -41,8 +43,11 @@ class MeterTable:
 
     @cached_property
     def node(self) -> np.ndarray:
-        """The row of each meter's node; UNKNOWN where the network has no such node."""
-        return self.network.nodes.find(self.bus, 0 if self.phases is None else self.phases[0])
+        """The row of each meter's node, of a total the first of its bus; UNKNOWN where the network has no such node."""
+        if self.phases is None:
+            return self.network.nodes.find(self.bus, 0)
+        found = self.network.nodes.find(self.bus, self.phases[0])
+        return np.where(self.phases[0] == TOTAL, self.network.nodes.first[self.bus], found)
 
     @cached_property
     def other(self) -> np.ndarray | None:
@@ -53,12 +58,40 @@ class MeterTable:
 
     @property
     def port(self) -> np.ndarray:
-        """The port of each meter, UNKNOWN where it is at a bus or the network has no such port."""
+        """The port of each meter, UNKNOWN where it is at a bus, a total, or the network has no such port."""
+        return self.network.ports.find(self._end, 0 if self.phases is None else self.phases[0])
+
+    @cached_property
+    def _end(self) -> np.ndarray:
+        """The branch end of each meter, among from ends, then to ends; UNKNOWN where it is at a bus."""
         f = np.append(self.network.f, UNKNOWN)  # the last row stands for NO_BRANCH and UNKNOWN
         branch = np.maximum(self.branch, UNKNOWN)
         at_to = np.where(f[branch] == self.bus, 0, len(f) - 1)
-        end = np.where(branch < 0, UNKNOWN, branch + at_to)
-        return self.network.ports.find(end, 0 if self.phases is None else self.phases[0])
+        return np.where(branch < 0, UNKNOWN, branch + at_to)
+
+    def spread(self) -> tuple[MeterTable, np.ndarray | None]:
+        """The meters with a row for each phase of a total, and the meter of each row, (n_row,); None without totals."""
+        if self.phases is None or not (is_total := self.phases[0] == TOTAL).any():
+            return self, None
+        of_bus, of_end = self.network.nodes.sets[self.bus], np.append(self.network.ports.sets, 0)[self._end]
+        there = np.where(self.branch < 0, of_bus, of_end)
+        rows = PhaseRows(np.where(is_total, there, 1 << self.phases[0]))
+        meter, phases = rows.item, np.array([rows.phase, self.phases[1][rows.item]])
+        return MeterTable(self.network, self.kind[meter], self.bus[meter], self.branch[meter], phases), meter
+
+
+def average(values: np.ndarray, of_meter: np.ndarray | None) -> np.ndarray:
+    """The mean of the rows of each meter, (n_meas, ...), from ``values`` (n_row, ...); see ``MeterTable.spread``."""
+    if of_meter is None:
+        return values
+    first = find_first(of_meter)
+    count = np.diff(first, append=len(of_meter)).reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(np.add.reduceat(values, first) / count)
+
+
+def find_first(of_meter: np.ndarray) -> np.ndarray:
+    """The first row of each meter, (n_meas,), from the meter of each row, (n_row,)."""
+    return np.flatnonzero(np.diff(of_meter, prepend=-1))
 
 
 def make_meters(
@@ -113,7 +146,9 @@ def each_fits(network: Network, meters: Records[Meter]) -> bool:
 
 
 def _have_nodes(network: Network, meters: Records[Meter]) -> bool:
-    """True where each of ``meters``, at known buses and branches, names one phase that is there, or two of a bus."""
+    """True where each of ``meters``, at known buses and branches, names one phase that is there, or two of a bus, or is
+    a total.
+    """
     if network.table.nodes.is_balanced:
         return True
     table = tabulate_meters(network, meters)
@@ -121,7 +156,9 @@ def _have_nodes(network: Network, meters: Records[Meter]) -> bool:
     assert table.other is not None
     is_alone, at_bus = table.phases[1] == UNKNOWN, table.branch < 0
     is_pair = at_bus & (table.other >= 0) & (table.other != table.node)
-    return bool((np.where(at_bus, table.node, table.port) >= 0).all() and (is_alone | is_pair).all())
+    is_there, is_total = np.where(at_bus, table.node, table.port) >= 0, table.phases[0] == TOTAL
+    fits = np.where(is_total, _HAS_TOTAL[table.kind], is_there) & (is_alone | is_pair)
+    return bool(fits.all())
 
 
 @dataclass(frozen=True)
@@ -205,7 +242,7 @@ def find_places(network: Network, meters: Sequence[Meter], wanted: Sequence[Mete
 def number_meters(network: Network, meters: Sequence[Meter]) -> np.ndarray:
     """A number for each of ``meters``, (n_meas,), the same for the same kind and place; each meter fits the network."""
     table, n = tabulate_meters(network, meters), network.n_nodes
-    other = 0 if table.other is None else table.other + 1
+    other = 0 if table.phases is None or table.other is None else np.where(table.phases[0] == TOTAL, 0, table.other + 2)
     place = (other * (len(network.table.active) + 2) + table.branch - NO_BRANCH) * n + table.node
     number: np.ndarray = place * len(KINDS) + table.kind
     return number

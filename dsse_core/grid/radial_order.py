@@ -124,15 +124,15 @@ def order_tableau(
 
 def _place_meters(place: np.ndarray, model: MeasurementModel) -> np.ndarray:
     """The place of each meter, (n_meas,), where the voltages of nodes have 3 ``place`` + 2."""
-    injections = np.isin(model.kinds, _INJECTIONS)
-    outermost = np.minimum.reduceat(place[model.y.indices], model.y.indptr[:-1]) if len(injections) else injections
-    return np.where(injections, 3 * place[model.node], 3 * outermost + 1)
+    injections, first = np.isin(model.kinds, _INJECTIONS), model.first_rows
+    outermost = np.minimum.reduceat(place[model.y.indices], model.y.indptr[first]) if len(injections) else injections
+    return np.where(injections, 3 * place[model.node[first]], 3 * outermost + 1)
 
 
 def _find_owners(place: np.ndarray, model: MeasurementModel, of_meter: np.ndarray) -> np.ndarray:
     """The place of the bus that each meter belongs to, (n_meas,): on a branch the bus that comes first."""
     at_branch = np.isin(model.kinds, _AT_BRANCHES)
-    return np.where(at_branch, of_meter // 3, place[model.node])
+    return np.where(at_branch, of_meter // 3, place[model.node[model.first_rows]])
 
 
 def _place_others(others: sp.csr_array, of_columns: np.ndarray) -> np.ndarray:

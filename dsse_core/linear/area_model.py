@@ -94,35 +94,40 @@ def build_area_model(
     """
     network = area.network
     admittance = build_admittance(network, with_shunts=with_shunts)
-    powers: dict[tuple[MeasurementKind, int, str], list[int]] = {}
-    for k, power in enumerate(area.powers_into_children):
-        powers.setdefault((INJECTION[power.kind], power.bus, power.phase), []).append(k)
-    counted = [
-        (row, k)
-        for row, m in enumerate(measurements)
-        for k in powers.get((m.meter.kind, m.meter.bus, m.meter.phases), ())
-    ]
-    rows, columns = zip(*counted, strict=True) if counted else ((), ())
-    shape = (len(measurements), len(area.powers_into_children))
     if between := [m.meter.id for m in measurements if _is_short_of(m.meter, area)]:
         problem = "power between two phases of a bus does not count what flows into areas beyond; meter each phase"
         raise InvalidInputError(f"meters of area {area.name}", [f"{meter}: {problem}" for meter in between])
-    size = 2 * network.n_nodes + shape[1]
+    meters = [m.meter for m in measurements]
+    size = 2 * network.n_nodes + len(area.powers_into_children)
     fixed = NO_ROWS if reference is None else network.nodes_at(reference)
     to_parent = area.boundaries[area.parent.area].variables if area.parent else ()
     at_parent = [Meter(INJECTION[v.kind], v.bus, phases=v.phase) for v in to_parent if v.kind in INJECTION]
     return AreaModel(
         area=area,
-        model=build_measurement_model(network, admittance, [m.meter for m in measurements]),
-        into_children=sp.csr_array(sp.coo_array((np.ones(len(rows)), (rows, columns)), shape=shape)),
+        model=build_measurement_model(network, admittance, meters),
+        into_children=_count_powers(area, meters),
         into_area=build_measurement_model(network, admittance, at_parent) if at_parent else None,
         z=_values_of(measurements),
         sigma=_sigmas_of(measurements),
         free=np.delete(np.arange(size), fixed),
-        meters=tuple(m.meter for m in measurements),
+        meters=tuple(meters),
         reference=reference,
         backend=backend,
     )
+
+
+def _count_powers(area: Area, meters: Sequence[Meter]) -> sp.csr_array:
+    """The share of each power into a child in the reading of each meter, (n_meas, n_power): injections count them."""
+    powers: dict[tuple[MeasurementKind, int, str], list[tuple[int, float]]] = {}
+    for k, power in enumerate(area.powers_into_children):
+        kind = INJECTION[power.kind]
+        powers.setdefault((kind, power.bus, power.phase), []).append((k, 1.0))
+        if power.phase:  # of a total, the mean of all phases of the bus
+            share = 1 / len(area.network.nodes_at(power.bus))
+            powers.setdefault((kind, power.bus, ""), []).append((k, share))
+    counted = [(row, *of) for row, m in enumerate(meters) for of in powers.get((m.kind, m.bus, m.phases), ())]
+    rows, columns, shares = zip(*counted, strict=True) if counted else ((), (), ())
+    return sp.csr_array(sp.coo_array((shares, (rows, columns)), shape=(len(meters), len(area.powers_into_children))))
 
 
 def _is_short_of(meter: Meter, area: Area) -> bool:

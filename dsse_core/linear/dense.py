@@ -6,6 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.grid.measurement_model import stack_models
+from dsse_core.grid.meter_table import average
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.interface import Matrix, Received, Rows
@@ -23,15 +24,15 @@ class DenseRows(Rows):
         boundaries = sorted(area.area.neighbours, key=lambda n: not n.is_parent)
         picked = [column for n in boundaries for column in area.boundary_columns(n)]
         self._neighbours = area.area.neighbours
-        ends = np.cumsum([area.boundary_of(n).d for n in boundaries], dtype=int) + model.y.shape[0]
+        ends = np.cumsum([area.boundary_of(n).d for n in boundaries], dtype=int) + len(model.kinds)
         self._place = {n.area: slice(end - area.boundary_of(n).d, end) for n, end in zip(boundaries, ends, strict=True)}
-        self._n_meas, self._n = model.y.shape
+        self._n_meas, self._n = len(model.kinds), model.y.shape[1]
         self._rows = model if into_area is None else stack_models(model, into_area)
         self._y = self._rows.y.toarray()
         self._each = np.arange(len(self._y))
         self._into_children = into_children.toarray()
         self._picked = np.array(picked, dtype=int)
-        n_computed, size = len(self._y), 2 * self._n + self._into_children.shape[1]
+        n_computed, size = len(self._rows.kinds), 2 * self._n + self._into_children.shape[1]
         self._h = np.zeros(n_computed + len(picked))
         self._H = np.zeros((len(self._h), size))
         self._H[: self._n_meas, 2 * self._n :] = self._into_children
@@ -81,7 +82,7 @@ class DenseRows(Rows):
         self._h, self._at = h, at
 
     def _move_voltages_to(self, x: np.ndarray) -> None:
-        n, computed = self._n, slice(len(self._y))
+        n, computed = self._n, slice(len(self._rows.kinds))
         vm, phase = x[n : 2 * n], np.exp(1j * x[:n])
         v = vm * phase
         u, i = self._rows.find_voltages(v), self._y @ v
@@ -91,5 +92,6 @@ class DenseRows(Rows):
         if (other := self._rows.other) is not None:
             along[self._each[other >= 0], other[other >= 0]] -= of_u[other >= 0]
         along *= phase
-        self._own, self._H = self._rows.read(u, i), self._H.copy()
+        along = average(along, self._rows.of_meter)
+        self._own, self._H = average(self._rows.read(u, i), self._rows.of_meter), self._H.copy()
         self._H[computed, :n], self._H[computed, n : 2 * n] = along.imag * -vm, along.real

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dsse_core.grid.measurement import MeasurementKind, Meter
-from dsse_core.grid.meter_table import KINDS, tabulate_meters
+from dsse_core.grid.meter_table import KINDS, average, tabulate_meters
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 
 KIND = MeasurementKind
@@ -21,13 +21,13 @@ def read_exactly(power_flow: PowerFlowResult, meters: Sequence[Meter]) -> tuple[
     network = power_flow.network
     v = power_flow.vm * np.exp(1j * power_flow.va)
     stacked = power_flow.admittance.stacked
-    table = tabulate_meters(network, meters)
+    table, of_meter = tabulate_meters(network, meters).spread()
     kind, place = table.kind, np.where(table.branch < 0, table.node, len(v) + table.port)
     u, i = v[table.node], (stacked @ v)[place]
     if table.other is not None:
         u = u - np.where(table.other < 0, 0.0, v[table.other])
     s = u * i.conj()
-    exact = np.zeros(len(meters))
+    exact = np.zeros(len(u))
     for k, name in enumerate(KINDS):
         here = kind == k
         if name in (KIND.VM, KIND.CURRENT):
@@ -37,4 +37,5 @@ def read_exactly(power_flow: PowerFlowResult, meters: Sequence[Meter]) -> tuple[
         else:
             exact[here] = s[here].real if name in (KIND.P_INJECTION, KIND.P_FLOW) else s[here].imag
     is_power = np.array([name not in (KIND.VM, KIND.VA, KIND.CURRENT) for name in KINDS])[kind]
-    return exact, np.where(is_power, np.hypot(s.real, s.imag), abs(exact))
+    s, exact = average(np.where(is_power, s, exact), of_meter), average(exact, of_meter)
+    return exact, abs(s)

@@ -14,12 +14,15 @@ from dsse_core.errors import InvalidInputError, NotObservableError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.estimation.decision import Verdict
 from dsse_core.estimation.estimator import WholeGrid
+from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement, Meter
+from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Partition
 from dsse_core.linear.area_model import build_area_model
-from tests.support.phases import AREAS, DEEP, KIND, RING, TIE, Rounds, make_feeder, read_meters, run_rounds
+from tests.support.levels import further
+from tests.support.phases import AREAS, DEEP, KIND, RING, TIE, Rounds, make_feeder, read_meters, run_rounds, solve
 
 GAP = 1e-9  # p.u. and rad
 SIGMA = 1e-6  # relative
@@ -74,6 +77,30 @@ def test_areas_with_phases_go_the_centres_way_to_its_estimate(areas: dict[str, l
             gaps.append(max(abs(of_areas[k] - x[np.r_[at, n + at]]).max() for k, at in partition.rows_of_nodes.items()))
     assert max(gaps) < 1e-7
     assert np.quantile(gaps, 0.95) < GAP
+
+
+@pytest.mark.parametrize("areas", [AREAS, *further(DEEP)], ids=["four", "six"])
+def test_areas_count_totals_as_the_centre_does_and_a_total_at_a_boundary_with_the_powers_beyond(
+    areas: dict[str, list[int]],
+) -> None:
+    """Totals in place of the readings of phases, at boundaries of two phases and of three, and one wrong of them."""
+    network = make_feeder()
+    partition, x = build_partition(network, areas), solve(network)
+    places = [(650, "reg"), (645, "645-632"), (671, "671-692"), (692, "692-675")]
+    totals = [Meter(kind, *place) for place in places for kind in (KIND.P_FLOW, KIND.Q_FLOW)]
+    totals += [Meter(kind, bus) for bus in (671, 646) for kind in (KIND.P_INJECTION, KIND.Q_INJECTION)]
+    read = build_measurement_model(network, build_admittance(network), totals).predict(x)
+    read[5] += 0.2
+    replaced = {f"{kind}_injection@671.{phase}" for kind in "pq" for phase in "ab"}
+    readings = [m for m in read_meters(network, 4, 0.5, is_rich=False) if m.meter.id not in replaced]
+    readings += [Measurement(m, value, 1e-3) for m, value in zip(totals, read.tolist(), strict=True)]
+    report, verdicts, _ = trace_centre(network, readings)
+    assert [removed.measurement.meter for removed in report.removed] == [totals[5]]
+    rounds = run_rounds(partition, readings)
+    assert [
+        verdict for verdict in rounds.verdicts if verdict != "anew"
+    ] == verdicts  # a removal: in the centre a new plan
+    assert_is_the_centres(rounds, partition, report)
 
 
 @pytest.mark.parametrize("wrong", ["p_flow@632.b:645-632", "vm@684.c", "q_injection@675.a"])

@@ -17,8 +17,11 @@ from dsse_core.grid.division import build_partition
 from dsse_core.grid.loads import Load, find_nominal
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, read_meter_id
 from dsse_core.grid.measurement_model import build_measurement_model
+from dsse_core.grid.meter_table import find_places
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.grid.nodes import Primitive
+from dsse_core.power_flow.exact_readings import read_exactly
+from dsse_core.power_flow.newton_raphson import solve_power_flow
 from tests.support.phases import DEEP, coupled_line, make_feeder
 
 
@@ -84,7 +87,7 @@ KIND = MeasurementKind
 
 
 def every_meter(network: Network) -> list[Meter]:
-    """Meters of all kinds at every node, between phases, and at every port."""
+    """Meters of all kinds at every node, between phases, at every port, and of totals."""
     at_nodes = (KIND.VM, KIND.VA, KIND.P_INJECTION, KIND.Q_INJECTION)
     meters = [Meter(kind, bus.id, phases=phase) for bus in network.buses for phase in bus.phases for kind in at_nodes]
     meters += [
@@ -95,7 +98,8 @@ def every_meter(network: Network) -> list[Meter]:
         assert branch.primitive is not None
         ends = ((branch.from_bus, branch.primitive.from_phases), (branch.to_bus, branch.primitive.to_phases))
         meters += [Meter(kind, bus, branch.id, phases=p) for bus, phases in ends for p in phases for kind in flows]
-    return meters
+        meters += [Meter(kind, bus, branch.id) for bus, _ in ends for kind in flows[:2]]
+    return meters + [Meter(kind, bus.id) for bus in network.buses for kind in at_nodes[2:]]
 
 
 @pytest.fixture
@@ -111,6 +115,39 @@ def test_meters_of_phases_have_the_derivatives_of_their_readings(feeder: Network
     step = 1e-6 * np.eye(len(state))
     numeric = np.transpose([model.subtract(model.predict(state + d), model.predict(state - d)) / 2e-6 for d in step])
     assert model.jacobian(state).toarray() == pytest.approx(numeric, abs=2e-7)
+
+
+def test_compiled_code_finds_the_same_derivatives_of_totals(feeder: Network, state: np.ndarray) -> None:
+    pytest.importorskip("numba")
+    model = build_measurement_model(feeder, build_admittance(feeder), every_meter(feeder))
+    for found, expected in zip(model.linearize_compiled(state), model.linearize_entries(state), strict=True):
+        assert found == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+def test_a_total_reads_the_mean_of_the_phases_that_its_bus_or_its_end_of_the_branch_has(
+    feeder: Network, state: np.ndarray
+) -> None:
+    """Of balanced phases it reads in p.u. what each phase reads."""
+    at_branch = [Meter(KIND.P_FLOW, 632, "632-645"), Meter(KIND.Q_FLOW, 632, "632-645")]
+    totals = [*at_branch, Meter(KIND.P_INJECTION, 632), Meter(KIND.Q_INJECTION, 645)]
+    of_phases = [replace(m, phases=p) for m in totals for p in ("abc" if m.kind is KIND.P_INJECTION else "bc")]
+    admittance = build_admittance(feeder)
+    read = build_measurement_model(feeder, admittance, of_phases).predict(state)
+    expected = [read[:2].mean(), read[2:4].mean(), read[4:7].mean(), read[7:].mean()]
+    assert build_measurement_model(feeder, admittance, totals).predict(state) == pytest.approx(expected, rel=1e-12)
+    found, places = find_places(feeder, [*of_phases, *totals], totals), len(of_phases) + np.arange(len(totals))
+    assert found.tolist() == places.tolist()
+
+
+def test_readings_of_totals_are_made_of_a_power_flow_as_the_estimate_reads_them() -> None:
+    network = make_feeder()
+    power_flow = solve_power_flow(network)
+    meters = [m for m in every_meter(network) if not m.phases]
+    read, sizes = read_exactly(power_flow, meters)
+    x = np.concatenate([power_flow.va, power_flow.vm])
+    assert read == pytest.approx(build_measurement_model(network, power_flow.admittance, meters).predict(x), abs=1e-12)
+    of_p = sizes[[m.kind is KIND.P_FLOW for m in meters]]
+    assert of_p == pytest.approx(np.hypot(*(read[[m.kind is k for m in meters]] for k in (KIND.P_FLOW, KIND.Q_FLOW))))
 
 
 def test_meters_of_phases_read_what_the_circuit_has(feeder: Network, state: np.ndarray) -> None:
@@ -129,7 +166,8 @@ def test_exact_readings_of_phases_give_back_the_state_in_the_centre(feeder: Netw
     at_nodes = (KIND.VM, KIND.P_INJECTION, KIND.Q_INJECTION)
     meters = [Meter(kind, bus.id, phases=phase) for bus in feeder.buses for phase in bus.phases for kind in at_nodes]
     meters += [Meter(KIND.P_FLOW, 632, "632-645", phases="b"), Meter(KIND.VM, 645, phases="bc")]
-    meters += [Meter(KIND.CURRENT, 650, "650-632", phases="a")]
+    meters += [Meter(KIND.CURRENT, 650, "650-632", phases="a"), Meter(KIND.P_FLOW, 650, "650-632")]
+    meters += [Meter(KIND.Q_INJECTION, 645), Meter(KIND.Q_FLOW, 632, "632-645")]
     model = build_measurement_model(feeder, build_admittance(feeder), meters)
     readings = [Measurement(m, z, 0.01) for m, z in zip(meters, model.predict(state).tolist(), strict=True)]
     found = estimate_state(feeder, readings)
@@ -155,6 +193,7 @@ def test_an_unmetered_phase_is_named_with_its_bus_and_a_cure(feeder: Network) ->
 @pytest.mark.parametrize(
     ("meter", "problem"),
     [
+        (Meter(KIND.CURRENT, 632, "632-645"), "current@632:632-645: name one phase of bus 632"),
         (Meter(KIND.VM, 645), "vm@645: name one phase, or two of bus 645, which has b, c"),
         (Meter(KIND.VM, 645, phases="a"), r"vm@645\.a: phase a is not there, only b, c"),
         (Meter(KIND.P_FLOW, 632, "632-645", phases="a"), r"p_flow@632\.a:632-645: phase a is not there, only b, c"),
