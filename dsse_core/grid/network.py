@@ -21,7 +21,7 @@ from dsse_core.grid.columns import Records, read_given
 from dsse_core.grid.gauge import Gauge, find_gauge
 from dsse_core.grid.loads import Legs, Load, find_nominal
 from dsse_core.grid.network_table import NetworkTable, tabulate
-from dsse_core.grid.nodes import PHASES, Primitive, list_phases, read_phases
+from dsse_core.grid.nodes import PHASES, Primitive, explain_phases, list_phases, read_phases
 
 ZERO_IMPEDANCE = 1e-6
 """A branch below this share of the median |r + jx| counts as without impedance. The power through it is a difference of
@@ -358,7 +358,7 @@ def _find_problems_of_phases(network: Network) -> Iterable[str]:
         yield f"bus {', '.join(without)} has no phases, and others have; give each bus its phases"
     for bus, phases in texts.items():
         if not read_phases([phases])[0]:
-            yield f"bus {bus}: phases is {phases!r}; give some of a, b, c, s1, s2, in this order"
+            yield f"bus {bus}: phases {explain_phases(phases)}"
     for branch in network.branches:
         if (primitive := branch.primitive) is None:
             if texts.get(branch.from_bus) or texts.get(branch.to_bus):
@@ -367,7 +367,7 @@ def _find_problems_of_phases(network: Network) -> Iterable[str]:
         ports = 0
         for bus, phases in ((branch.from_bus, primitive.from_phases), (branch.to_bus, primitive.to_phases)):
             ports += len(list_phases(phases))
-            if missing := sorted({*list_phases(phases)} - {*list_phases(texts.get(bus, ""))}):
+            if bus in texts and (missing := sorted({*list_phases(phases)} - {*list_phases(texts[bus])})):
                 yield f"branch {branch.id} has phase {', '.join(missing)} at bus {bus}, which lacks it"
         for y in (primitive.y, primitive.charging):
             if y.shape != (ports, ports) or not np.isfinite(y).all():

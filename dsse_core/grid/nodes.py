@@ -37,6 +37,14 @@ def list_phases(text: str) -> list[str]:
     return ([""] if not text else found) if "".join(found) == text else []
 
 
+def explain_phases(text: str) -> str:
+    """The problem of a text that is no set of phases, and its cure."""
+    neutral = (
+        "; a neutral is no node: leave it out, and reduce impedances to those of the phases" if "n" in text else ""
+    )
+    return f"is {text!r}; give some of {', '.join(PHASES[1:])}, in this order{neutral}"
+
+
 def _read_set(text: str) -> int:
     phases = list_phases(text)
     return sum(1 << PHASES.index(phase) for phase in phases) if phases == sorted(set(phases), key=PHASES.index) else 0

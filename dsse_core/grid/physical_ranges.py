@@ -9,6 +9,9 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
+from dsse_core.grid.loads import Load
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.limits import LARGEST_BUS
 
@@ -34,6 +37,8 @@ POWER = Range(-1e6, 1e6, "MW")  # all of Europe takes half of it
 REACTIVE_POWER = Range(-1e6, 1e6, "Mvar")
 IMPEDANCE = Range(-1e9, 1e9, "p.u.")
 ADMITTANCE = Range(-1e6, 1e6, "p.u.")
+PORT_ADMITTANCE = Range(-1e9, 1e9, "p.u.")  # of a branch with phases: the inverse of an impedance is among them
+EXPONENT = Range(-10.0, 10.0, "")  # of a load's voltage
 TAP = Range(1e-2, 1e2, "")
 RATING = Range(1e-9, 1e9, "MVA")  # of a branch; other projects write 99999 kA for no limit
 ANGLE = Range(-720.0, 720.0, "degrees")
@@ -49,6 +54,8 @@ def find_range_problems(network: Network) -> Iterator[str]:
         yield from _of_branch(branch, network.base_mva)
     for generator in network.generators:
         yield from _of_source(generator, network.base_mva)
+    for load in network.loads:
+        yield from _of_load(load, network.base_mva)
 
 
 def find_base_problems(base_mva: float, base_kv: Mapping[int, float]) -> Iterator[str]:
@@ -78,9 +85,21 @@ def _of_branch(branch: Branch, base: float) -> Iterator[str]:
     yield from ADMITTANCE.find_problem(f"{of}: g", branch.g)
     yield from TAP.find_problem(f"{of}: tap", branch.tap)
     yield from ANGLE.find_problem(f"{of}: phase shift", math.degrees(branch.shift))
+    if branch.primitive is not None:
+        for part in (np.real, np.imag):
+            largest = max(part(branch.primitive.y).flat, key=abs, default=0.0)
+            yield from PORT_ADMITTANCE.find_problem(f"{of}: admittance over its ports", float(largest))
     for rating in (branch.i_max, branch.s_max):
         if rating is not None:
             yield from RATING.find_problem(f"{of}: rating", rating * base)
+
+
+def _of_load(load: Load, base: float) -> Iterator[str]:
+    of = f"load at bus {load.bus}, {load.phases}"
+    yield from POWER.find_problem(f"{of}: active power", load.s.real * base / 3)
+    yield from REACTIVE_POWER.find_problem(f"{of}: reactive power", load.s.imag * base / 3)
+    for exponent in load.exponents:
+        yield from EXPONENT.find_problem(f"{of}: exponent", exponent)
 
 
 def _of_source(generator: Generator, base: float) -> Iterator[str]:

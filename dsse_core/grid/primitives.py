@@ -56,6 +56,13 @@ def build_line(phases: str, z: np.ndarray, charging: np.ndarray | float = 0.0) -
     return Primitive(phases, phases, np.kron([[1, -1], [-1, 1]], inverse) + at_ends, at_ends)
 
 
+def find_size(primitive: Primitive) -> complex:
+    """The size of a branch as an impedance, p.u., by which those near zero are found: of its from end, at the mean."""
+    n = len(list_phases(primitive.from_phases))
+    size = complex((primitive.y - primitive.charging).diagonal()[:n].sum())
+    return n / size if size else 1.0 + 0j
+
+
 def build_bank(at_from: Side, at_to: Side, y: complex) -> Primitive:
     """A bank of equal two-winding units: sum of N' [[y, -y], [-y, y]] N, without the star points.
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from dsse_core.grid.columns import Records, Rows, read_ids
 from dsse_core.grid.network import Branch, Bus, Control, Generator
+from dsse_core.grid.nodes import Primitive, list_phases
 from dsse_core.grid.physical_ranges import (
     ADMITTANCE,
     ANGLE,
@@ -43,6 +44,7 @@ class BusArrays:
     b_shunt: np.ndarray
     x: np.ndarray
     y: np.ndarray
+    phases: list[str]
 
     @classmethod
     def of(cls, given: list[BusTable] | BusColumns, base_mva: float) -> BusArrays:
@@ -50,11 +52,20 @@ class BusArrays:
         powers = ("p_load_mw", "q_load_mvar", "g_shunt_mw", "b_shunt_mvar")
         scaled = [np.array(_take(given, key, n, 0.0), dtype=float) / base_mva for key in powers]
         base_kv = np.array(_take(given, "base_kv", n, math.nan), dtype=float)
+        phases = _take(given, "phases", n, "")
+        if any(phases):
+            share = np.array([share_of_power(text) for text in phases])
+            scaled = [power / share for power in scaled]
         place = [np.array([math.nan if v is None else v for v in _take(given, key, n, None)]) for key in ("x", "y")]
-        return cls(read_ids(_take(given, "id", n, 0)), _take(given, "name", n, ""), base_kv, *scaled, *place)
+        p, q, g, b = scaled
+        ids, names = read_ids(_take(given, "id", n, 0)), _take(given, "name", n, "")
+        x, y = place
+        return cls(ids, names, base_kv, p, q, g, b, x, y, phases)
 
     def build(self) -> Records[Bus]:
         columns = {field.name: getattr(self, field.name) for field in fields(Bus) if hasattr(self, field.name)}
+        if not any(self.phases):
+            del columns["phases"]
         return Records(Bus, _without_unknown(columns, ("x", "y")))
 
 
@@ -120,8 +131,11 @@ class BranchArrays:
             to_kv=to_kv,
         )
 
-    def build(self) -> Records[Branch]:
+    def build(self, primitives: Sequence[Primitive] = ()) -> Records[Branch]:
+        """The branches; ``primitives``: their admittances, of a network with phases."""
         columns = {field.name: getattr(self, field.name) for field in fields(Branch) if hasattr(self, field.name)}
+        if primitives:
+            columns["primitive"] = primitives
         return Records(Branch, _without_unknown(columns, ("i_max", "s_max")) | {"id": self._name()})
 
     def _name(self) -> list[str]:
@@ -150,6 +164,11 @@ def _without_unknown(columns: dict[str, Any], keys: Sequence[str]) -> dict[str, 
     known = {key: columns[key] for key in keys if not np.isnan(columns[key]).all()}
     found = {key: [None if math.isnan(value) else value for value in column.tolist()] for key, column in known.items()}
     return {key: column for key, column in columns.items() if key not in keys} | found
+
+
+def share_of_power(phases: str) -> float:
+    """The share of the power base that is 1 p.u. at all ``phases`` of a bus: a third at each, all of a balanced bus."""
+    return max(1, len(list_phases(phases))) / 3 if phases else 1.0
 
 
 def default_branch_id(from_bus: int, to_bus: int, taken: Collection[str | None]) -> str:

@@ -13,7 +13,9 @@ from dsse_core.files.strict_table import load_strict
 from dsse_core.files.wording import suggest
 from dsse_core.grid.network import Control, Generator, Network
 from dsse_core.grid.physical_ranges import find_base_problems, find_range_problems
-from scenarios.files.network_columns import BranchArrays, BusArrays, lie_within_ranges
+from dsse_core.printable import listed
+from scenarios.files.network_columns import BranchArrays, BusArrays, lie_within_ranges, share_of_power
+from scenarios.files.network_phases import PhaseParts, find_parts_with_phases, read_phase_parts
 from scenarios.files.network_tables import NetworkFile, SourceTable
 from scenarios.files.shipped_files import find_shipped
 from scenarios.files.zero_impedances import find_zero_impedance_problems
@@ -42,22 +44,38 @@ def load_network(path: Path) -> Network:
     file = load_strict(path, NetworkFile)
     what, base = file.called(path), file.base_mva
     buses = BusArrays.of(file.bus, base)
-    generators = tuple(_build_generator(source, base) for source in file.source)
+    phases = dict(zip(buses.id.tolist(), buses.phases, strict=True)) if any(buses.phases) else {}
+    if problems := list(_find_form_problems(file, has_phases=bool(phases))):
+        raise InvalidInputError(what, problems)
+    shares = {bus: share_of_power(text) for bus, text in phases.items()}
+    generators = tuple(_build_generator(source, base * shares.get(source.bus, 1.0)) for source in file.source)
     if not lie_within_ranges(base, buses, None, generators):
         base_kv = dict(zip(buses.id[::-1].tolist(), buses.base_kv[::-1].tolist(), strict=True))
         if problems := list(find_base_problems(base, base_kv)):  # others are divided by these numbers
             raise InvalidInputError(what, problems)
-    branches = BranchArrays.of(file.branch, buses, base)
-    problems = list(_find_unit_problems(branches, is_list=isinstance(file.branch, list)))
+    parts = PhaseParts()
+    if phases:
+        parts = read_phase_parts(file, dict(zip(buses.id.tolist(), buses.base_kv.tolist(), strict=True)), phases)
+    branches = BranchArrays.of(parts.branches or file.branch, buses, base)
+    problems = [*parts.problems, *_find_unit_problems(branches, is_list=isinstance(file.branch, list))]
     try:
-        network = Network(file.name, base, buses.build(), branches.build(), generators)
+        of_branches = branches.build(parts.primitives)
+        network = Network(file.name, base, buses.build(), of_branches, generators, tuple(parts.loads))
     except InvalidInputError as error:
         raise InvalidInputError(what, [*problems, *error.problems]) from None
-    if not lie_within_ranges(base, buses, branches, generators):
+    if phases or not lie_within_ranges(base, buses, branches, generators):
         problems += find_range_problems(network)
     if problems := [*problems, *find_zero_impedance_problems(network)]:
         raise InvalidInputError(what, problems)
     return network
+
+
+def _find_form_problems(file: NetworkFile, *, has_phases: bool) -> Iterator[str]:
+    """Tables that only a network with phases has, or cannot have."""
+    if has_phases and not isinstance(file.branch, list):
+        yield "branch: lists of values have no phases; give a table for each branch"
+    if not has_phases and (parts := find_parts_with_phases(file)):
+        yield f"bus: {listed(parts)} has phases, and no bus has; give each bus its phases"
 
 
 def _find_unit_problems(branches: BranchArrays, *, is_list: bool) -> Iterator[str]:

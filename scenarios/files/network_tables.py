@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Annotated, ClassVar, Literal, Self, TypeVar
 
 from pydantic import Discriminator, Field, Tag, model_validator
@@ -9,9 +10,16 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from dsse_core.files.kinds import NETWORK_FILE, FileKind
 from dsse_core.files.quantities import BRANCH_ID
 from dsse_core.files.strict_table import ColumnsTable, FileTable, Table
+from dsse_core.grid.nodes import PHASES
 from dsse_core.limits import LONGEST_NAME, Positive
 
+ZERO_OHM, ZERO_PU = {"r0_ohm", "x0_ohm", "b0_us"}, {"r0_pu", "x0_pu", "b0_pu"}
 NOTHING = (None,) * 4
+IMPEDANCES = {f"{letter}_{unit}" for letter, unit in (*product("rx", ("ohm", "pu")), *product("bg", ("us", "pu")))}
+IMPEDANCES |= ZERO_OHM | ZERO_PU
+PORTS = {"g_ports_pu", "b_ports_pu", "g_charging_pu", "b_charging_pu"}
+OF_PHASES = {"phases", "to_phases"} | ZERO_OHM | ZERO_PU | PORTS  # keys that branches of balanced networks lack
+WHOLE_PORTS = "g_ports_pu and b_ports_pu stand together, and in place of an impedance"
 MIXED = "mixes ohm and microsiemens with r_pu/x_pu/b_pu/g_pu; give all of them in one of the two units"
 TWO_RATINGS = "has two ratings; give rating_a for a line or rating_mva for a transformer"
 NO_IMPEDANCE = "has no complete impedance; give r_ohm and x_ohm, or r_pu and x_pu"
@@ -26,6 +34,8 @@ class BusTable(Table):
     """Nominal voltage."""
     name: str = ""
     """For readers."""
+    phases: str = Field(default="", description='phases such as "abc", each a node; without phases the bus is balanced')
+    """Phases such as `"abc"` or `"s1s2"`, a node each; in a network with phases each bus has its own."""
     p_load_mw: float = 0.0
     """Load, constant power."""
     q_load_mvar: float = 0.0
@@ -42,6 +52,20 @@ class BusTable(Table):
     """Place on a map, to the north, in the unit of `x`."""
 
 
+def _shape_of(value: object) -> str:
+    """The member of ``Matrix`` that ``value`` is meant to be, as its tag."""
+    return "[rows]" if isinstance(value, list) else "[number]"
+
+
+Triangle = Annotated[list[list[float]], Field(max_length=len(PHASES))]
+Matrix = Annotated[
+    Annotated[float, Tag("[number]")] | Annotated[Triangle, Tag("[rows]")],
+    Discriminator(_shape_of),
+]
+"""A number, or between phases the rows of a lower triangle."""
+Taps = Annotated[
+    Annotated[Positive, Tag("[number]")] | Annotated[list[Positive], Tag("[rows]")], Discriminator(_shape_of)
+]
 Form = TypeVar("Form", "BranchTable", "BranchColumns")
 
 
@@ -56,9 +80,14 @@ def has_one_complete_impedance(given: Form) -> Form:
     Raises:
         ValueError: the impedance is incomplete, or in both units.
     """
+    zero = frozenset[str]() if isinstance(given, BranchColumns) else frozenset(given.model_fields_set)
+    if isinstance(given, BranchTable) and (ports := zero & PORTS):
+        if None in (given.g_ports_pu, given.b_ports_pu) or zero & IMPEDANCES:
+            raise ValueError(f"has {', '.join(sorted(ports))}; {WHOLE_PORTS}")
+        return given
     ohm = (given.r_ohm, given.x_ohm, given.b_us, given.g_us)
     pu = (given.r_pu, given.x_pu, given.b_pu, given.g_pu)
-    if ohm != NOTHING and pu != NOTHING:
+    if (ohm != NOTHING or zero & ZERO_OHM) and (pu != NOTHING or zero & ZERO_PU):
         raise ValueError(MIXED)
     if None in ohm[:2] and None in pu[:2]:
         raise ValueError(NO_IMPEDANCE)
@@ -80,22 +109,50 @@ class BranchTable(Table):
     """At most 64 lower-case letters, digits, `_` and `-`; `from-to` if left out, e.g. `3-4`, and for parallel
     branches `3-4#2`, `3-4#3`.
     """
-    r_ohm: float | None = None
+    phases: str = Field(default="", description='phases that the branch joins, such as "bc"')
+    """Phases that the branch joins, such as `"bc"`; required where buses have phases. `r`, `x`, `b`, `g` are then the
+    rows of lower triangles, `[[0.3], [0.1, 0.3]]`, or a number for each phase, alike and not coupled.
+    """
+    r_ohm: Matrix | None = None
     """Series resistance."""
-    x_ohm: float | None = None
+    x_ohm: Matrix | None = None
     """Series reactance."""
-    b_us: float | None = Field(default=None, description="total charging in microsiemens")
+    b_us: Matrix | None = Field(default=None, description="total charging in microsiemens")
     """Total charging, microsiemens; 0 if left out."""
-    g_us: float | None = Field(default=None, description="total leakage or iron losses in microsiemens")
+    g_us: Matrix | None = Field(default=None, description="total leakage or iron losses in microsiemens")
     """Total leakage or iron losses, microsiemens; 0 if left out."""
-    r_pu: float | None = None
+    r_pu: Matrix | None = None
     """Series resistance."""
-    x_pu: float | None = None
+    x_pu: Matrix | None = None
     """Series reactance."""
-    b_pu: float | None = Field(default=None, description="total charging in p.u.")
+    b_pu: Matrix | None = Field(default=None, description="total charging in p.u.")
     """Total charging; 0 if left out."""
-    g_pu: float | None = Field(default=None, description="total leakage or iron losses in p.u.")
+    g_pu: Matrix | None = Field(default=None, description="total leakage or iron losses in p.u.")
     """Total leakage or iron losses; 0 if left out."""
+    r0_ohm: float | None = None
+    """Zero sequence beside a number `r_ohm` with `phases`, and so on; equal to it if left out."""
+    x0_ohm: float | None = None
+    """Zero sequence beside a number `x_ohm`."""
+    b0_us: float | None = None
+    """Zero sequence beside a number `b_us`."""
+    r0_pu: float | None = None
+    """Zero sequence beside a number `r_pu`."""
+    x0_pu: float | None = None
+    """Zero sequence beside a number `x_pu`."""
+    b0_pu: float | None = None
+    """Zero sequence beside a number `b_pu`."""
+    g_ports_pu: Triangle | None = None
+    """With `b_ports_pu`, in place of an impedance: conductances over the phases at `from`, then those at `to`, of a
+    branch of any kind. Saved networks have them.
+    """
+    b_ports_pu: Triangle | None = None
+    """Susceptances, see `g_ports_pu`."""
+    g_charging_pu: Triangle | None = None
+    """The part of `g_ports_pu` that draws current without load; 0 if left out."""
+    b_charging_pu: Triangle | None = None
+    """The part of `b_ports_pu` that draws current without load; 0 if left out."""
+    to_phases: str = Field(default="", description="phases at the to end, beside g_ports_pu, where they are others")
+    """Phases at `to`, beside `g_ports_pu`; `phases` if left out."""
     tap_ratio: Positive = Field(default=1.0, description="divides the from-side voltage; 1.0 for a line")
     """Divides the from-side voltage: without load `v_to = v_from / tap_ratio`."""
     shift_deg: float = 0.0
@@ -123,6 +180,69 @@ class BranchTable(Table):
         return self
 
 
+class LoadTable(Table):
+    """One ``[[load]]``: legs at a bus with phases; a capacitor is a leg with ``exponents = [2, 2]``."""
+
+    bus: int = Field(description="id of the bus where the load stands")
+    """Bus where the load stands."""
+    phases: str = Field(description='a leg, "bc" between b and c, "b" from b to ground; or several, "ab,bc,ca"')
+    """The legs: `"bc"` is a leg between b and c, `"b,c"` two legs to ground, `"ab,bc,ca"` a delta."""
+    p_kw: list[float] | None = None
+    """Power drawn by each leg; 0 if left out."""
+    q_kvar: list[float] | None = None
+    """Reactive power drawn by each leg, negative for a capacitor; 0 if left out."""
+    exponents: list[float] = Field(default=[0.0, 0.0], min_length=2, max_length=2, description="of P and of Q")
+    """Exponents of P and of Q: at another voltage the legs draw that share of it to these powers. 0 is constant power,
+    1 constant current, 2 constant impedance.
+    """
+    kv: Positive | None = Field(default=None, description="voltage across a leg at which it draws these powers")
+    """Voltage across a leg at which it draws these powers; the nominal one if left out."""
+
+
+class WindingTable(Table):
+    """One of the ``windings`` of a transformer."""
+
+    bus: int = Field(description="id of the bus at this side")
+    """Bus at this side."""
+    phases: str = Field(description='phases of the bus that the bank joins, such as "abc"')
+    """Phases of the bus that the bank joins."""
+    kv: Positive = Field(description="rated voltage between lines; of a winding to ground 3^0.5 times that across it")
+    """Rated voltage between lines; of a winding to ground 3^0.5 times the voltage across it."""
+    connection: str = Field(description="'grounded wye', 'wye', 'delta', or the windings, such as 'ab,bc'")
+    """`"grounded wye"`, `"wye"` with a free star point, `"delta"`, or where each winding stands: `"ab,bc"` is an open
+    delta.
+    """
+    taps: Taps = Field(default=1.0, description="turns by nominal ones, of all windings or of each")
+    """Turns by nominal ones, a number or one for each winding: a regulator has `taps = [1.0625, 1.05, 1.06875]` at its
+    regulated side.
+    """
+
+
+class TransformerTable(Table):
+    """One ``[[transformer]]`` between buses with phases: a bank of equal units of two windings, or a regulator."""
+
+    id: str | None = Field(default=None, pattern=f"^{BRANCH_ID.pattern}$", description="as the id of a branch")
+    """As that of a branch, whose ids it shares; `from-to` if left out, of the buses of its windings."""
+    windings: list[WindingTable] = Field(min_length=2, description="two tables, of the from and of the to side")
+    """Two tables: the from side, then the to side."""
+    kva: Positive = Field(description="rated power of the whole bank in kVA")
+    """Rated power of the whole bank."""
+    r_percent: float = Field(ge=0, description="series resistance of both windings, of the rated one")
+    """Series resistance of both windings."""
+    x_percent: float = Field(description="series reactance of both windings, of the rated one")
+    """Series reactance of both windings."""
+    clock: Literal[0, 1, 5, 6, 7, 11] | None = Field(default=None, description="lag of the low side, 30 degrees each")
+    """Hours of 30 degrees by which the side of the lower `kv` (of equal ones the second) lags: 1, 5, 7 or 11 with a
+    delta at one side, 1 if left out; else 0 or 6, 0 if left out.
+    """
+    in_service: bool = True
+    """True where the bank is connected."""
+    name: str = ""
+    """Name in results, beside the id."""
+    rating_mva: Positive | None = Field(default=None, description="apparent power that the whole bank may carry")
+    """Apparent power that the whole bank may carry, in MVA."""
+
+
 OptionalId = Annotated[str, Field(pattern=f"^({BRANCH_ID.pattern})?$")]
 """Empty where a branch is called by its ends."""
 
@@ -133,6 +253,7 @@ class BusColumns(ColumnsTable):
     id: list[int] = Field(min_length=1, description="the numbers of the buses, each its own in the network")
     base_kv: list[Positive] = Field(description="nominal voltages in kV")
     name: list[str] | None = None
+    phases: list[str] | None = None
     p_load_mw: list[float] | None = None
     q_load_mvar: list[float] | None = None
     g_shunt_mw: list[float] | None = None
@@ -230,5 +351,13 @@ class NetworkFile(FileTable):
     """`[[bus]]`, one for each bus."""
     branch: Branches = Field(description="one [[branch]] for each line and transformer, or a list for each key")
     """`[[branch]]`, one for each line and transformer."""
+    transformer: list[TransformerTable] = Field(
+        default_factory=list, description="one [[transformer]] for each bank with phases"
+    )
+    """`[[transformer]]`, one for each bank or regulator of a network with phases."""
+    load: list[LoadTable] = Field(
+        default_factory=list, description="one [[load]] for each load of a network with phases"
+    )
+    """`[[load]]`, of a network with phases."""
     source: list[SourceTable] = Field(min_length=1, description="one [[source]] for the substation and each generator")
     """`[[source]]`, one for the substation and one for each generator."""

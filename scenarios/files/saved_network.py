@@ -11,10 +11,12 @@ from typing import Any
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.kinds import NETWORK_FILE
 from dsse_core.files.quantities import BRANCH_ID
+from dsse_core.grid.loads import Load
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.grid.nodes import Primitive
 from dsse_core.limits import LONGEST_NAME
 from dsse_core.results.units import base_current
-from scenarios.files.network_columns import default_branch_id
+from scenarios.files.network_columns import default_branch_id, share_of_power
 
 MOST_BUSES_IN_TOML = 5000  # larger networks become JSON, which is read much faster, and larger than TOML may be
 
@@ -34,16 +36,18 @@ def save_network(path: Path, network: Network, data_source: str) -> None:
         raise InvalidInputError(NETWORK_FILE.called(path), problems)
     head = {"name": network.name, "data_source": data_source, "base_mva": float(network.base_mva)}
     base = network.base_mva
-    sources = [_source_row(generator, base) for generator in network.generators]
+    has_phases = not network.table.nodes.is_balanced
+    rest = {"load": [_load_row(load, base) for load in network.loads]} if has_phases else {}
+    rest |= {"source": [_source_row(generator, network) for generator in network.generators]}
     if path.suffix == ".json":
-        columns = {"bus": _bus_columns(network), "branch": _branch_columns(network), "source": sources}
+        branches = [_branch_row(b, network) for b in network.branches] if has_phases else _branch_columns(network)
+        columns = {"bus": _bus_columns(network), "branch": branches} | rest
         path.write_text(json.dumps(head | columns), encoding="utf-8")
         return
     rows = {
         "bus": [_bus_row(bus, base) for bus in network.buses],
         "branch": [_branch_row(branch, network) for branch in network.branches],
-        "source": sources,
-    }
+    } | rest
     lines = [f"{key} = {format_toml(value)}" for key, value in head.items()]
     for table, items in rows.items():
         lines += ["", f"{table} = [", *(f"    {_inline(item)}," for item in items), "]"]
@@ -52,13 +56,15 @@ def save_network(path: Path, network: Network, data_source: str) -> None:
 
 def _bus_columns(network: Network) -> dict[str, list[Any]]:
     """A list for each key; keys of defaults only are left out."""
-    base, buses = network.base_mva, network.buses
+    buses = network.buses
+    base = [network.base_mva * share_of_power(bus.phases) for bus in buses]
     columns: dict[str, list[Any]] = {
         "name": [bus.name for bus in buses],
-        "p_load_mw": [bus.p_load * base for bus in buses],
-        "q_load_mvar": [bus.q_load * base for bus in buses],
-        "g_shunt_mw": [bus.g_shunt * base for bus in buses],
-        "b_shunt_mvar": [bus.b_shunt * base for bus in buses],
+        "phases": [bus.phases for bus in buses],
+        "p_load_mw": [bus.p_load * of for bus, of in zip(buses, base, strict=True)],
+        "q_load_mvar": [bus.q_load * of for bus, of in zip(buses, base, strict=True)],
+        "g_shunt_mw": [bus.g_shunt * of for bus, of in zip(buses, base, strict=True)],
+        "b_shunt_mvar": [bus.b_shunt * of for bus, of in zip(buses, base, strict=True)],
     }
     given: dict[str, list[Any]] = {"id": [bus.id for bus in buses], "base_kv": [bus.base_kv for bus in buses]}
     places = {key: [getattr(bus, key) for bus in buses] for key in ("x", "y")}
@@ -113,6 +119,9 @@ def _bus_row(bus: Bus, base: float) -> dict[str, object]:
     row: dict[str, object] = {"id": bus.id, "base_kv": bus.base_kv}
     if bus.name:
         row["name"] = bus.name
+    if bus.phases:
+        row["phases"] = bus.phases
+        base *= share_of_power(bus.phases)
     for key in ("p_load", "q_load", "g_shunt", "b_shunt"):
         if power := getattr(bus, key):
             row[f"{key}_{'mw' if key in ('p_load', 'g_shunt') else 'mvar'}"] = power * base
@@ -123,7 +132,7 @@ def _branch_row(branch: Branch, network: Network) -> dict[str, object]:
     row: dict[str, object] = {"from": branch.from_bus, "to": branch.to_bus}
     if (branch_id := _written_id(branch)) is not None:
         row["id"] = branch_id
-    row |= {"r_pu": branch.r, "x_pu": branch.x}
+    row |= _ports_row(branch.primitive) if branch.primitive else {"r_pu": branch.r, "x_pu": branch.x}
     optional = {
         "b_pu": (branch.b, 0.0),
         "g_pu": (branch.g, 0.0),
@@ -137,6 +146,24 @@ def _branch_row(branch: Branch, network: Network) -> dict[str, object]:
     return row | {key: value for key, (value, default) in optional.items() if value != default}
 
 
+def _ports_row(primitive: Primitive) -> dict[str, object]:
+    """The phases and the admittances over the ports, as lower triangles."""
+    matrices = {"ports": primitive.y} | ({"charging": primitive.charging} if primitive.charging.any() else {})
+    row: dict[str, object] = {"phases": primitive.from_phases}
+    if primitive.to_phases != primitive.from_phases:
+        row["to_phases"] = primitive.to_phases
+    for of, matrix in matrices.items():
+        for letter, part in (("g", matrix.real), ("b", matrix.imag)):
+            row[f"{letter}_{of}_pu"] = [part[k, : k + 1].tolist() for k in range(len(part))]
+    return row
+
+
+def _load_row(load: Load, base: float) -> dict[str, object]:
+    of_leg = base / 3 * 1000
+    row = {"bus": load.bus, "phases": load.phases, "p_kw": [load.s.real * of_leg], "q_kvar": [load.s.imag * of_leg]}
+    return row | ({"exponents": list(load.exponents)} if any(load.exponents) else {})
+
+
 def _rating_a(branch: Branch, network: Network) -> float | None:
     if branch.i_max is None:
         return None
@@ -144,10 +171,13 @@ def _rating_a(branch: Branch, network: Network) -> float | None:
 
 
 def _rating_mva(branch: Branch, network: Network) -> float | None:
-    return None if branch.s_max is None else branch.s_max * network.base_mva
+    if branch.s_max is None:
+        return None
+    return branch.s_max * network.base_mva * share_of_power(branch.primitive.from_phases if branch.primitive else "")
 
 
-def _source_row(generator: Generator, base: float) -> dict[str, object]:
+def _source_row(generator: Generator, network: Network) -> dict[str, object]:
+    base = network.base_mva * share_of_power(network.bus(generator.bus).phases)
     row: dict[str, object] = {"bus": generator.bus, "kind": str(generator.control)}
     row |= {k: p * base for k, p in (("p_mw", generator.p), ("q_mvar", generator.q)) if p}
     if generator.control is not Control.POWER:
@@ -165,6 +195,8 @@ def format_toml(value: object) -> str:
     """``value`` as TOML; texts are JSON's, which are TOML's but for the delete character."""
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, list):
+        return f"[{', '.join(map(format_toml, value))}]"
     if isinstance(value, bool):
         return "true" if value else "false"
     return repr(float(value)) if isinstance(value, float) else str(value)  # exact

@@ -1,0 +1,284 @@
+"""Network files with phases: matrices, banks and legs in per unit, IEEE 13, round trips, every mistake by its key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.grid.loads import Load
+from dsse_core.grid.network import Network
+from dsse_core.grid.primitives import build_bank, build_line, connect
+from dsse_core.power_flow.newton_raphson import solve_power_flow
+from scenarios.files.network_file import load_case, load_network
+from scenarios.files.saved_network import save_network
+
+GOOD = """
+name = "three"
+data_source = "made up"
+base_mva = 6.0
+bus = [
+    { id = 1, base_kv = 12.0, phases = "abc", b_shunt_mvar = 0.3 },
+    { id = 2, base_kv = 12.0, phases = "abc" },
+    { id = 3, base_kv = 12.0, phases = "ac", b_shunt_mvar = 0.2 },
+    { id = 4, base_kv = 4.0, phases = "abc" },
+]
+branch = [
+    { from = 1, to = 2, phases = "abc", r_ohm = 2.4, x_ohm = 4.8, b_us = 3.0, rating_a = 100.0 },
+    { from = 2, to = 3, phases = "ac", r_ohm = [[2.4], [0.6, 3.6]], x_ohm = [[4.8], [1.2, 6.0]], rating_mva = 2.0 },
+]
+load = [
+    { bus = 3, phases = "ca,a", p_kw = [200.0, 20.0], q_kvar = [100.0, 0.0] },
+    { bus = 4, phases = "a,b,c", q_kvar = [-50.0, -50.0, -50.0], exponents = [2.0, 2.0], kv = 2.0 },
+]
+source = [{ bus = 1, kind = "slack", vm_pu = 1.0 }, { bus = 3, kind = "power", p_mw = 0.4, q_mvar = 0.2 }]
+[[transformer]]
+id = "bank"
+kva = 3000.0
+r_percent = 1.0
+x_percent = 6.0
+windings = [
+    { bus = 2, phases = "abc", kv = 12.0, connection = "delta" },
+    { bus = 4, phases = "abc", kv = 4.0, connection = "grounded wye", taps = [1.0, 1.02, 1.05] },
+]
+"""
+Z = np.array([[0.1 + 0.2j, 0.025 + 0.05j], [0.025 + 0.05j, 0.15 + 0.25j]])  # of the line 2-3, base 24 ohm
+
+
+def load(tmp_path: Path, text: str) -> Network:
+    path = tmp_path / "grid.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_network(path)
+
+
+def changed(*pairs: tuple[str, str]) -> str:
+    text = GOOD
+    for old, new in pairs:
+        assert old in text
+        text = text.replace(old, new, 1)
+    return text
+
+
+def problems_of(tmp_path: Path, *pairs: tuple[str, str]) -> tuple[str, ...]:
+    with pytest.raises(InvalidInputError) as caught:
+        load(tmp_path, changed(*pairs))
+    assert "grid.toml" in caught.value.what
+    return caught.value.problems
+
+
+def test_matrices_banks_and_legs_become_per_unit_of_a_third_of_the_power_base(tmp_path: Path) -> None:
+    network = load(tmp_path, GOOD)
+    assert network.n_nodes == 11
+    expected = {
+        "1-2": build_line("abc", (0.1 + 0.2j) * np.eye(3), 3e-6j * 24 * np.eye(3)),
+        "2-3": build_line("ac", Z),
+        "bank": build_bank(
+            connect("abc", "delta reversed"), connect("abc", "grounded", (1.0, 1.02, 1.05)), 0.5 / (0.01 + 0.06j)
+        ),
+    }
+    for name, primitive in expected.items():
+        assert network.branch(name).primitive.y == pytest.approx(primitive.y, rel=1e-14)
+        assert network.branch(name).primitive.charging == pytest.approx(primitive.charging, rel=1e-14)
+    across = 4 / 3**0.5 / 2
+    capacitors = [Load(4, phase, pytest.approx(-0.025j * across**2), (2.0, 2.0)) for phase in "abc"]
+    assert network.loads == (Load(3, "ca", pytest.approx(0.1 + 0.05j)), Load(3, "a", pytest.approx(0.01)), *capacitors)
+    assert [bus.b_shunt for bus in network.buses] == pytest.approx([0.05, 0, 0.05, 0])  # of three phases, of two
+    assert (network.generators[1].p, network.generators[1].q) == pytest.approx((0.1, 0.05))
+    assert network.branch("1-2").i_max == pytest.approx(100 * 3**0.5 * 12 / 6000)
+    assert network.branch("2-3").s_max == pytest.approx(2 / 4)
+
+
+def test_the_clock_of_a_bank_is_the_lag_of_its_low_side(tmp_path: Path) -> None:
+    for clock in (1, 5, 7, 11):
+        network = load(
+            tmp_path, changed(("x_percent", f"clock = {clock}\nx_percent"), (", taps = [1.0, 1.02, 1.05]", ""))
+        )
+        idle = Network("idle", 6.0, network.buses, network.branches, network.generators[:1])
+        turn = np.degrees(solve_power_flow(idle).va[idle.node(4, "a")])
+        assert (turn + 30 * clock + 180) % 360 - 180 == pytest.approx(0, abs=2)
+    low = changed(('"delta"', '"wye"'), ('"grounded wye"', '"delta"'))
+    assert load(tmp_path, low).branch("bank").primitive.y == pytest.approx(
+        build_bank(connect("abc", "wye"), connect("abc", "delta", (1.0, 1.02, 1.05)), 0.5 / (0.01 + 0.06j)).y
+    )
+
+
+def test_the_zero_sequence_of_a_line_couples_its_phases(tmp_path: Path) -> None:
+    coupled = load(tmp_path, changed(("x_ohm = 4.8", "x_ohm = 4.8, r0_ohm = 7.2, x0_ohm = 14.4, b0_us = 1.5")))
+    z = (0.1 + 0.2j) * (np.eye(3) + 2 / 3 * np.ones((3, 3)))
+    charging = 3e-6j * 24 * (np.eye(3) - np.ones((3, 3)) / 6)
+    assert coupled.branch("1-2").primitive.y == pytest.approx(build_line("abc", z, charging).y)
+
+
+def test_windings_may_stand_anywhere(tmp_path: Path) -> None:
+    opened = changed(
+        ('phases = "abc", kv = 12.0, connection = "delta"', 'phases = "ab", kv = 12.0, connection = "a,b"'),
+        ('connection = "grounded wye", taps = [1.0, 1.02, 1.05]', 'connection = "ab,bc"'),
+    )
+    bank = load(tmp_path, opened).branch("bank").primitive
+    assert (bank.from_phases, bank.to_phases) == ("ab", "abc")
+    a, b = 1, np.exp(-2j * np.pi / 3)
+    assert bank.y @ [a, b, 0, -(3**0.5) * a, -(3**0.5) * (a + b)] == pytest.approx(np.zeros(5), abs=1e-12)
+
+
+@pytest.mark.parametrize("suffix", ["toml", "json"])
+@pytest.mark.parametrize("name", ["ieee13", "grid"])
+def test_a_network_with_phases_is_read_back_as_it_was_written(tmp_path: Path, suffix: str, name: str) -> None:
+    network = load_case(name) if name == "ieee13" else load(tmp_path, GOOD)
+    save_network(tmp_path / f"written.{suffix}", network, "a test")
+    again = load_network(tmp_path / f"written.{suffix}")
+    assert [(b.id, b.from_bus, b.to_bus, b.in_service) for b in again.branches] == [
+        (b.id, b.from_bus, b.to_bus, b.in_service) for b in network.branches
+    ]
+    for one, other in zip(again.branches, network.branches, strict=True):
+        assert one.primitive is not None
+        assert other.primitive is not None
+        assert one.primitive.y == pytest.approx(other.primitive.y, rel=1e-14)
+        assert one.primitive.charging == pytest.approx(other.primitive.charging, rel=1e-14)
+        assert (one.r, one.x, one.i_max, one.s_max) == pytest.approx((other.r, other.x, other.i_max, other.s_max))
+    assert [(x.bus, x.phases, x.exponents) for x in again.loads] == [
+        (x.bus, x.phases, x.exponents) for x in network.loads
+    ]
+    assert [x.s for x in again.loads] == pytest.approx([x.s for x in network.loads], rel=1e-14)
+    assert again.buses == network.buses
+    assert again.generators == network.generators
+
+
+# Voltages of OpenDSS (opendssdirect.py 0.9.4, tolerance 1e-11, ppm 0, loads at their models at any voltage) on
+# 13Bus/IEEE13Nodeckt.dss with taps 10, 8, 11: p.u. to ground and degrees, phase by phase. Its switch has 1e-7 ohm.
+OPENDSS = {
+    2: ([0.999974416, 0.999994479, 0.999950394], [29.9927138, -90.0095392, 149.9905917]),
+    650: ([0.999911493, 0.999972023, 0.999931676], [-0.0111586, -120.0106408, 119.9863192]),
+    60: ([1.062282851, 1.049885629, 1.068547918], [-0.0131177, -120.0127164, 119.9839802]),
+    633: ([1.017752083, 1.03999137, 1.014860332], [-2.5656265, -121.7819083, 117.8087195]),
+    634: ([0.993772264, 1.021634829, 0.996030177], [-3.2420336, -122.238126, 117.3291857]),
+    671: ([0.989375723, 1.053415378, 0.978921459], [-5.3079115, -122.3611248, 116.0746993]),
+    645: ([1.032714334, 1.015495646], [-121.9162434, 117.8399638]),
+    646: ([1.030976826, 1.0134354], [-121.9919077, 117.8852493]),
+    675: ([0.98291251, 1.055768147, 0.977080794], [-5.553842, -122.5375283, 116.0885722]),
+    611: ([0.974913172], [115.8274732]),
+    652: ([0.981856377], [-5.2561789]),
+    670: ([1.010507612, 1.044888872, 1.003301432], [-3.4155426, -121.9478285, 117.1651191]),
+    632: ([1.020781792, 1.041885984, 1.017472202], [-2.5010087, -121.7365305, 117.8127807]),
+    680: ([0.989375735, 1.053415393, 0.978921473], [-5.3079118, -122.3611249, 116.074699]),
+    684: ([0.987433013, 0.976910375], [-5.3308345, 115.9734006]),
+}
+
+
+def test_ieee13_has_the_voltages_of_opendss() -> None:
+    network = load_case("ieee13")
+    found = solve_power_flow(network, tolerance=1e-12)
+    v = found.vm * np.exp(1j * found.va)
+    for bus, (vm, va) in OPENDSS.items():
+        behind_switch = bus == 675
+        due = np.array(vm) * np.exp(1j * np.radians(va))
+        assert abs(v[network.nodes_at(bus)] - due).max() < (2e-8 if behind_switch else 1e-8), bus
+    assert {*OPENDSS} == {bus.id for bus in network.buses} - {1}
+
+
+@pytest.mark.parametrize(
+    ("pair", "text"),
+    [
+        (('phases = "ac", b_shunt', "b_shunt"), "bus 3 has no phases, and others have; give each bus its phases"),
+        (
+            ('phases = "ac", b_shunt', 'phases = "acn", b_shunt'),
+            "bus 3: phases is 'acn'; give some of a, b, c, s1, s2, in this order; a neutral is no node: "
+            "leave it out, and reduce impedances to those of the phases",
+        ),
+        (('phases = "ac", r_ohm', 'phases = "ca", r_ohm'), "branch[2].phases: is 'ca'; give some of a, b, c, s1"),
+        (
+            ('phases = "ac", r_ohm = [[2.4], [0.6, 3.6]]', 'phases = "bc", r_ohm = [[2.4], [0.6, 3.6]]'),
+            "branch 2-3 has phase b at bus 3, which lacks it",
+        ),
+        (
+            ('phases = "ac", r_ohm', "r_ohm"),
+            "branch[2].phases: missing; in a network with phases each branch says those",
+        ),
+        (
+            ("[[2.4], [0.6, 3.6]]", "[[2.4], [0.6, 3.6], [0, 0, 1]]"),
+            "branch[2].r_ohm: its rows have 1, 2, 3 numbers; the lower triangle of phases ac has rows of 1, 2",
+        ),
+        (("[0.6, 3.6]", "[6.0, 3.6]"), "branch[2].r_ohm: the matrix is not positive, a line of it would produce power"),
+        (
+            ("[[2.4], [0.6, 3.6]], x_ohm = [[4.8], [1.2, 6.0]]", "0.0, x_ohm = 0.0"),
+            "branch[2].x_ohm: with r the impedances are singular; correct them",
+        ),
+        (("[[2.4], [0.6, 3.6]]", "[[2.4], [0.6, 1e300]]"), "branch[2].r_ohm is 4.16667e+298 p.u.; it must lie between"),
+        (
+            ("r_ohm = 2.4", "tap_ratio = 1.1, r_ohm = 2.4"),
+            "branch[1].tap_ratio: a branch with phases is a line; give a",
+        ),
+        (("r_ohm = 2.4", "r0_pu = 1.1, r_ohm = 2.4"), "branch[1]: mixes ohm and microsiemens with"),
+        (
+            ("r_ohm = 2.4", "g_ports_pu = [[1.0]], r_ohm = 2.4"),
+            "branch[1]: has g_ports_pu; g_ports_pu and b_ports_pu stand together",
+        ),
+        (("b_us = 3.0", "b0_us = 3.0"), "branch[1].b0_us: stands beside b_us, which is missing; give it"),
+        (
+            ("from = 2, to = 3", "from = 4, to = 3"),
+            "branch[2].r_ohm: the line joins bus 4 of 4.0 kV and bus 3 of 12.0 kV",
+        ),
+        (('"ca,a"', '"ca,b"'), "load[1].phases: bus 3 has no phase b; it has a, c"),
+        (
+            ('"ca,a"', '"cac,a"'),
+            "load[1].phases: 'cac' is no leg; name one phase, or two, such as 'b', 'bc', or several",
+        ),
+        (("p_kw = [200.0, 20.0]", "p_kw = [200.0]"), "load[1].p_kw: has 1 numbers; phases 'ca,a' are 2 legs"),
+        (("p_kw = [200.0, 20.0]", "p_kw = [1e12, 20.0]"), "load at bus 3, ca: active power is 1e+09 MW; it must lie"),
+        (
+            ("exponents = [2.0, 2.0]", "exponents = [2.0, 200.0]"),
+            "load[2].exponents is 200; it must lie between -10 and 10",
+        ),
+        (('{ bus = 3, phases = "ca,a"', '{ bus = 9, phases = "ca,a"'), "load[1].bus: bus 9 is not defined"),
+        (
+            ('connection = "delta"', 'connection = "star"'),
+            "transformer[1].windings[1].connection: 'star' is no winding; give 'grounded wye', 'wye'",
+        ),
+        (
+            ("taps = [1.0, 1.02, 1.05]", "taps = [1.0, 1.02]"),
+            "transformer[1].windings[2].taps: has 2 numbers; give one",
+        ),
+        (
+            ("x_percent = 6.0", "x_percent = 6.0\nclock = 0"),
+            "transformer[1].clock: is 0; of 'delta' to 'grounded wye' it is 1 or 5 or",
+        ),
+        (
+            (
+                "taps = [1.0, 1.02, 1.05] },",
+                'taps = [1.0, 1.02, 1.05] }, { bus = 3, phases = "ac", kv = 12.0, connection = "a,c" },',
+            ),
+            "transformer[1].windings: 3 windings at bus 2, 4, 3; a bank has two, and no element joins three buses",
+        ),
+        (
+            ("id = 2, base_kv = 12.0,", "id = 2, base_kv = 12.0, p_load_mw = 1.0,"),
+            "bus 2 has phases, and a load of its own; state the load by its legs",
+        ),
+    ],
+)
+def test_a_mistake_is_named_with_its_key_and_cure(tmp_path: Path, pair: tuple[str, str], text: str) -> None:
+    problems = problems_of(tmp_path, pair)
+    assert any(problem.startswith(text) for problem in problems), problems
+
+
+def test_all_mistakes_are_named_at_once(tmp_path: Path) -> None:
+    pairs = (("[0.6, 3.6]", "[6.0, 3.6]"), ('"ca,a"', '"ca,b"'), ('"delta"', '"star"'), ("to = 3", "to = 9"))
+    assert [problem.split(":")[0] for problem in problems_of(tmp_path, *pairs)] == [
+        "branch[2].r_ohm",
+        "transformer[1].windings[1].connection",
+        "load[1].phases",
+        "branch 2-9 ends at bus 9, which is not defined",
+    ]
+
+
+def test_parts_with_phases_are_refused_where_no_bus_has_phases(tmp_path: Path) -> None:
+    text = GOOD.split("load = [")[0] + 'source = [{ bus = 1, kind = "slack", vm_pu = 1.0 }]'
+    text = (
+        text.replace('phases = "abc", b_shunt', "b_shunt")
+        .replace('phases = "ac", b', "b")
+        .replace(', phases = "abc" }', " }")
+    )
+    with pytest.raises(
+        InvalidInputError, match=r"bus: branch\[1\], branch\[2\] has phases, and no bus has; give each bus"
+    ):
+        load(tmp_path, text)
