@@ -16,6 +16,7 @@ from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.files.strict_table import load_strict
 from dsse_core.files.wording import describe_unknown
 from dsse_core.grid.boundary import boundary_at, boundary_of, find_wrong_name
+from dsse_core.grid.gauge import Gauge
 from dsse_core.grid.loads import Load
 from dsse_core.grid.measurement import Meter, find_meter_problems
 from dsse_core.grid.network import Branch, Bus, Generator, Network
@@ -99,6 +100,7 @@ def _network_of(t: Any) -> Network:
         branches=_items_of(Branch, t.network.branch),
         generators=_items_of(Generator, t.network.generator),
         loads=_items_of(Load, t.network.load),
+        gauge_of_whole=Gauge(**vars(t.network.gauge)) if t.network.gauge else None,
     )
     if problems := list(find_range_problems(network)):
         raise InvalidInputError(f"network {network.name!r}", problems)

@@ -158,6 +158,7 @@ def table_of(content: Configuration, all_of: Callable[[Any, Sequence[Any]], Any]
             "branch": all_of(Branch, network.branches),
             "generator": all_of(Generator, network.generators),
             **({"load": all_of(Load, network.loads)} if network.loads else {}),
+            **({"gauge": _row_of(network.gauge_of_whole)} if network.gauge_of_whole else {}),
         },
         "meter": all_of(Meter, content.meters),
     }

@@ -305,6 +305,9 @@ def _find_problems(network: Network) -> Iterable[str]:
         yield from _find_problems_of_buses_and_branches(network)
     yield from _find_problems_of_generators(network)
     yield from _find_problems_of_loads(network)
+    if gauge := network.gauge_of_whole:
+        for bus in sorted({*gauge.ungrounded, *gauge.pinned} - set(network.table.bus_id.tolist())):
+            yield f"the gauge names bus {bus}, which is not defined"
 
 
 def _is_possible(network: Network) -> bool:

@@ -16,6 +16,7 @@ from agents.area_files.reader import load_area_file
 from agents.protocol.configuration import Configuration
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.division import build_partition
+from dsse_core.grid.gauge import Gauge
 from dsse_core.grid.loads import Load
 from dsse_core.link_faults import LinkFaults
 from tests.support.phases import AREAS, RING, TIE, make_feeder, read_meters
@@ -64,6 +65,18 @@ def test_an_area_with_phases_is_read_back_to_the_bit(tmp_path: Path, areas: dict
             assert read.primitive.charging.tobytes() == written.primitive.charging.astype(complex).tobytes()
         assert found.identity.is_sound
         assert not found.identity.edited
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".json"])
+def test_the_gauge_of_a_part_without_ground_is_read_back_and_names_buses_of_the_area(tmp_path: Path, suffix: str):
+    content = split(AREAS)["east"]
+    network = replace(content.area.network, gauge_of_whole=Gauge((692, 675), (692,)))
+    path, content = tmp_path / f"area{suffix}", replace(content, area=replace(content.area, network=network))
+    save_area_file(path, content)
+    assert load_area_file(path).area.network.gauge == Gauge((692, 675), (692,))
+    if suffix == ".json":
+        problems = spoil(path, content, lambda table: table["network"]["gauge"]["pinned"].append(7))
+        assert problems == ("network: the gauge names bus 7, which is not defined",)
 
 
 @pytest.mark.parametrize(
