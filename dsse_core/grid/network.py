@@ -22,6 +22,7 @@ from dsse_core.grid.gauge import Gauge, find_gauge
 from dsse_core.grid.loads import Legs, Load, find_nominal
 from dsse_core.grid.network_table import NetworkTable, tabulate
 from dsse_core.grid.nodes import PHASES, Primitive, explain_phases, list_phases, read_phases
+from dsse_core.printable import listed
 
 ZERO_IMPEDANCE = 1e-6
 """A branch below this share of the median |r + jx| counts as without impedance. The power through it is a difference of
@@ -269,6 +270,15 @@ class Network:
         island = self.table.island
         return tuple(self.table.bus_id[island != island[self.row[start]]].tolist())
 
+    def find_unreached_phases(self, start: int) -> tuple[str, ...]:
+        """Phases that no path of conductors and windings in service joins to ``start``, of buses that one joins."""
+        if self.table.nodes.is_balanced:
+            return ()
+        island, nodes, gone = self.table.node_island, self.table.nodes, set(self.find_unreached_buses(start))
+        loose = np.flatnonzero(~np.isin(island, island[self.nodes_at(start)])).tolist()
+        places = ((PHASES[nodes.phase[node]], self.node_buses[node]) for node in loose)
+        return tuple(f"phase {phase} of bus {bus}" for phase, bus in places if bus not in gone)
+
     @cached_property
     def median_impedance(self) -> float:
         """The median |r + jx| of the branches in service, p.u.; 0 if there are none."""
@@ -285,13 +295,17 @@ class Network:
         return tuple(self.branches[k] for k in active[short].tolist())
 
     def find_supply_problems(self) -> list[str]:
-        """Problems of supply, as text: no substation, or buses that no path of branches in service joins to it."""
+        """Problems of supply, as text: no substation, or buses or phases that no path in service joins to it."""
         if self.slack is None:
             return ["the network has no slack bus (substation); give it one source of kind 'slack'"]
+        problems = []
         if unreached := self.find_unreached_buses(self.slack.bus):
             names = ", ".join(map(str, unreached))
-            return [f"no path of branches in service joins bus {names} to the substation"]
-        return []
+            problems.append(f"no path of branches in service joins bus {names} to the substation")
+        if phases := self.find_unreached_phases(self.slack.bus):
+            path = f"no path of branches in service joins {listed(phases)} to the substation"
+            problems.append(f"{path}; feed the phase, or leave it out of the bus")
+        return problems
 
 
 def _duplicates(items: Iterable[object]) -> list[object]:

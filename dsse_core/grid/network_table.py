@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 
+CARRIED = 1e-4  # share of a branch's admittances, below which what it draws is charging, or rounding
+
+
 @dataclass(frozen=True)
 class NetworkTable:
     """Columns of ``Bus``, shape (n_bus,), and of ``Branch``, (n_all_branches,), p.u. and rad.
@@ -137,6 +140,26 @@ class NetworkTable:
         number: np.ndarray = connected_components(self.graph, directed=False)[1]
         return number
 
+    @cached_property
+    def node_island(self) -> np.ndarray:
+        """A number for each node, (n_nodes,), equal where a path of conductors and windings in service joins two.
+
+        A line joins each phase with itself: its coupling carries no power to a phase that nothing feeds.
+        """
+        if self.nodes.is_balanced:
+            return self.island
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        ends: list[np.ndarray] = [np.zeros((2, 0), dtype=np.int64)]
+        for place, k in enumerate(self.active.tolist()):
+            ports = np.concatenate([self.ports.at(place), self.ports.at(len(self.active) + place)])
+            ends.append(self.port_node[ports[np.array(_find_joined_ports(self.primitives[k]))]])
+        row, column = np.hstack(ends)
+        graph = coo_array((np.ones(len(row)), (row, column)), shape=(len(self.nodes),) * 2)
+        number: np.ndarray = connected_components(graph, directed=False)[1]
+        return number
+
     def is_possible(self) -> bool:
         """True where values, ids and ends of all buses and branches are possible; ids of branches are not checked."""
         complex_ones = (column.view(float) for column in (self.load, self.shunt, self.series, self.charging))
@@ -153,6 +176,18 @@ class NetworkTable:
             and self.nodes.is_balanced
             and not self.primitives
         )
+
+
+def _find_joined_ports(primitive: Primitive) -> tuple[np.ndarray, np.ndarray]:
+    """The pairs of ports of a branch that its conductors or windings join."""
+    y = primitive.y - primitive.charging
+    n = len(y) // 2
+    if primitive.from_phases == primitive.to_phases:
+        carried = abs(y[:, :n] + y[:, n:]).max() < CARRIED * abs(y).max()  # a voltage of both ends draws nothing
+        if carried:
+            return np.arange(n), np.arange(n, 2 * n)
+    row, column = np.nonzero(abs(y) > CARRIED * abs(y).max(initial=0.0))
+    return row, column
 
 
 def tabulate(buses: Sequence[Any], branches: Sequence[Any]) -> NetworkTable:

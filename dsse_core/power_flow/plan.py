@@ -21,6 +21,7 @@ from dsse_core.grid.meter_table import KINDS
 from dsse_core.grid.network import Control, Network
 from dsse_core.grid.nodes import PHASES
 from dsse_core.power_flow.path_sums import TreePaths, lay_out_paths
+from dsse_core.printable import listed
 
 P, Q = MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION
 MethodChoice = Literal["auto", "sweep", "newton"]
@@ -209,11 +210,9 @@ def _find_problems(
 
 def _find_problems_of_phases(network: Network, slack_bus: int, to_ground: Iterable[int]) -> Iterator[str]:
     """``to_ground``: buses with further loads from each phase to ground."""
-    nodes = network.table.nodes
-    for row in np.setdiff1d(np.arange(len(nodes)), network.table.port_node).tolist():
-        bus = network.buses[nodes.item[row]].id
-        if bus != slack_bus:
-            yield f"phase {PHASES[nodes.phase[row]]} of bus {bus} ends no branch in service; leave it out, or join it"
+    if slack_bus in network.row and (phases := network.find_unreached_phases(slack_bus)):
+        path = f"no path of branches in service joins {listed(phases)} to the slack bus {slack_bus}"
+        yield f"{path}; feed the phase, or leave it out of the bus"
     for generator in network.generators:
         if generator.control is Control.VOLTAGE and generator.bus != slack_bus:
             yield f"a generator holds the voltage of bus {generator.bus}, which has phases; give it its P and Q"

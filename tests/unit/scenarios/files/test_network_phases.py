@@ -271,6 +271,20 @@ def test_all_mistakes_are_named_at_once(tmp_path: Path) -> None:
     ]
 
 
+def test_a_phase_that_coupling_alone_reaches_has_no_supply(tmp_path: Path) -> None:
+    """Phase b of bus 3 and of bus 5 behind it: their line is coupled to a and c, which have supply."""
+    further = '{ id = 5, base_kv = 12.0, phases = "abc" },'
+    line = '{ from = 3, to = 5, phases = "abc", r_ohm = [[2], [1, 2], [1, 1, 2]], x_ohm = [[4], [2, 4], [2, 2, 4]] },'
+    beyond = (("]\nbranch", f"{further}]\nbranch"), ("]\nload", f"{line}]\nload"))
+    network = load(tmp_path, changed(('phases = "ac", b_shunt', 'phases = "abc", b_shunt'), *beyond))
+    (problem,) = network.find_supply_problems()
+    assert problem == (
+        "no path of branches in service joins phase b of bus 3, phase b of bus 5 to the substation; feed the phase, or "
+        "leave it out of the bus"
+    )
+    assert load(tmp_path, GOOD).find_supply_problems() == load_case("ieee13").find_supply_problems() == []
+
+
 def test_parts_with_phases_are_refused_where_no_bus_has_phases(tmp_path: Path) -> None:
     text = GOOD.split("load = [")[0] + 'source = [{ bus = 1, kind = "slack", vm_pu = 1.0 }]'
     text = (
