@@ -26,6 +26,7 @@ Name = Annotated[str, Meta(max_length=LONGEST_NAME)]
 Note = Annotated[str, Meta(max_length=LONGEST_NOTE)]  # sentences; other texts in a message are names
 Digest = Annotated[str, Meta(max_length=DIGITS, pattern="^[0-9a-f]*$")]
 Numbers = tuple[Number, ...]
+PerPhase = Annotated[tuple[Number, ...], "of each phase, in a message one number alone"]
 Names = tuple[Name, ...]
 Notes = Annotated[tuple[Note, ...], Meta(max_length=MOST_NOTES)]
 

@@ -20,7 +20,7 @@ import msgpack
 import msgspec
 import numpy as np
 
-from agents.messages.checks import BusId, Count, Integer, MessageError, Name, Number, shown
+from agents.messages.checks import BusId, Count, Integer, MessageError, Name, Number, Numbers, PerPhase, shown
 from agents.messages.totals_list import WireSplit, WireTotals, list_split, list_totals, read_split, read_totals
 from agents.messages.types import (
     NO_INCARNATION,
@@ -62,6 +62,7 @@ WIRE_VERSION = 3
 RECORDED_VERSIONS = (2, WIRE_VERSION)  # versions that logs of recordings may hold
 MAX_BYTES = 8 * 1024 * 1024
 MAX_NEIGHBOUR_BYTES = 256 * 1024  # of a message from a neighbour; only telemetry and states grow with the area
+LONG_ARRAY = 0xDC  # first byte of an array of 16 places or more
 KIND = re.compile(r"[a-z0-9_-]{1,32}")  # a part of keys
 UNNUMBERED = {
     "header",
@@ -131,6 +132,7 @@ _PACK: Mapping[Any, Callable[[Any], Any]] = {
     Totals: list_totals,
     SplitIdentity: list_split,
     dict: lambda m: list(m.items()),
+    PerPhase: lambda numbers: numbers[0] if len(numbers) == 1 else numbers,
 }
 _READ: Mapping[Any, Callable[[Any], Any]] = {
     Header: _read_header,
@@ -138,12 +140,13 @@ _READ: Mapping[Any, Callable[[Any], Any]] = {
     Totals: read_totals,
     SplitIdentity: read_split,
     dict: _read_map,
+    PerPhase: lambda found: found if isinstance(found, tuple) else (found,),
 }
 
 
 def _form_of(hint: Any) -> Any:
     """Key of ``_PACK`` for a type that needs more than msgspec; None for all other types."""
-    form = typing.get_origin(hint) or hint
+    form = hint if hint in _PACK else typing.get_origin(hint) or hint
     return form if form in _PACK else None
 
 
@@ -153,6 +156,8 @@ def _array_type(hint: Any) -> Any:
         return WireTotals
     if hint is SplitIdentity:
         return WireSplit
+    if hint == PerPhase:
+        return Number | Numbers
     if dataclasses.is_dataclass(hint):
         return tuple[tuple(_array_type(place) for place in _hints_of(hint).values())]  # type: ignore[misc]
     if typing.get_origin(hint) is dict:
@@ -278,9 +283,9 @@ def decode(payload: bytes, largest: int = MAX_BYTES) -> Message:
 
 
 def decode_recorded(payload: bytes) -> Message:
-    """The message in ``payload`` from the log of a recording, which an earlier version may have written.
+    """The message in ``payload`` from the log of a recording, which an earlier version or program may have written.
 
-    Fields that the earlier version lacks stand last in the message, and take their defaults.
+    Fields that it lacks stand last in the message, and take their defaults.
 
     Raises:
         MessageError: anything that is not a well-formed message of one of ``RECORDED_VERSIONS``.
@@ -302,13 +307,18 @@ def _decode(payload: bytes, largest: int, versions: tuple[int, ...]) -> Message:
         packing = _BY_KIND.get(bytes(beginning.kind))
         if packing is None:
             raise MessageError("malformed", f"unknown kind {shown(bytes(beginning.kind)[:80])}")
-        if beginning.version != WIRE_VERSION:
+        if beginning.version != WIRE_VERSION or (len(versions) > 1 and _count_places(packed) < len(packing.names) + 2):
             packed = packing.complete(packed)
         return _build(packing, packing.decoder.decode(packed))
     except msgspec.ValidationError as error:
         raise _rejection_of(error, packing) from None
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
         raise MessageError("not MessagePack", shown(str(error))) from None
+
+
+def _count_places(packed: bytes) -> int:
+    """The places of an array in MessagePack, by its first bytes; a short array has their number in its first one."""
+    return int.from_bytes(packed[1:3], "big") if packed[0] == LONG_ARRAY else packed[0] & 0x0F
 
 
 def describe_other_version(version: int, who: str = "it speaks") -> str:

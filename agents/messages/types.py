@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
 from agents.messages.boundary_arrays import Lengths, count_triangle, find_wrong_length
-from agents.messages.checks import BusId, Count, Integer, MessageError, Name, Names, Notes, Number, Numbers
+from agents.messages.checks import BusId, Count, Integer, MessageError, Name, Names, Notes, Number, Numbers, PerPhase
 from dsse_core.estimation.decision import Totals
-from dsse_core.exchange.boundary_load import NetLoad
+from dsse_core.exchange.boundary_load import Loads, NetLoad
 from dsse_core.grid.boundary import Boundary, boundary_of, find_wrong_name
 from dsse_core.split_identity import NO_SPLIT, SplitIdentity
 
@@ -58,19 +58,31 @@ class Header:
 class LoadMessage:
     """The net load, p.u., of everything on the sender's side of a boundary bus (thesis eqs. 5.1, 5.2).
 
-    ``sigma``: standard deviation of ``p`` and ``q``, from the meters in the sum.
+    ``sigma``: standard deviation of ``p`` and ``q``, from the meters in the sum. Each has a number of each phase of the
+    boundary, or one number of a balanced side.
     """
 
     kind: ClassVar[str] = "load"
     header: Header
     bus: BusId
-    p: Number
-    q: Number
-    sigma: Number
+    p: PerPhase
+    q: PerPhase
+    sigma: PerPhase
+
+    @classmethod
+    def of(cls, header: Header, bus: int, loads: Loads) -> Self:
+        """The message of the net ``loads`` at the boundary."""
+        p, q, sigma = zip(*((load.s.real, load.s.imag, load.variance**0.5) for load in loads), strict=True)
+        return cls(header, bus, p, q, sigma)
 
     @property
-    def load(self) -> NetLoad:
-        return NetLoad(complex(self.p, self.q), self.sigma * self.sigma)
+    def loads(self) -> Loads:
+        return tuple(
+            NetLoad(complex(p, q), sigma * sigma) for p, q, sigma in zip(self.p, self.q, self.sigma, strict=True)
+        )
+
+    def find_misfit(self) -> str:
+        return _find_unequal(self, "p", "q", "sigma") or ("" if self.p else "p, q, sigma: are empty")
 
 
 @dataclass(frozen=True, slots=True)

@@ -114,8 +114,10 @@ def find_rejection(message: Message, key_sender: str, content: Configuration, no
         return "sender does not own the key"
     if message.bus != bus:
         return OTHER_BUS
-    names = content.area.boundaries[header.sender].names
-    if getattr(message, "variables", names) != names:
+    boundary = content.area.boundaries[header.sender]
+    if getattr(message, "variables", boundary.names) != boundary.names:
+        return OTHER_VARIABLES
+    if isinstance(message, LoadMessage) and len(message.p) != boundary.n_loads:
         return OTHER_VARIABLES
     return find_unreasonable(message)
 
@@ -134,7 +136,7 @@ def find_unreasonable(
     """
     match message:
         case LoadMessage():
-            possible = are_within_reason((message.p, message.q, message.sigma)) and message.sigma >= 0
+            possible = are_within_reason((*message.p, *message.q, *message.sigma)) and min(message.sigma) >= 0
         case UpMessage() | DownMessage():
             t = message.totals
             numbers = *message.R, *message.z, *message.no_load, *message.power, t.degrees_of_freedom, t.turn

@@ -58,7 +58,7 @@ from agents.protocol.events import (
 from agents.protocol.numbering import ScanReadings, TickReadings
 from agents.protocol.published_state import PublishedState
 from agents.protocol.scan_end import ScanEnd
-from dsse_core.exchange.boundary_load import NetLoad, load_message_for
+from dsse_core.exchange.boundary_load import Loads, load_message_for
 from dsse_core.grid.measurement import Source
 from dsse_core.reading_rules import LEAD_SHARE
 from dsse_core.split_identity import NO_SPLIT
@@ -440,8 +440,8 @@ class AreaProtocol(ABC):
 
     # Load messages
 
-    def _received_loads(self) -> dict[str, NetLoad]:
-        return {name: peer.received_load.load for name, peer in sorted(self._peers.items()) if peer.received_load}
+    def _received_loads(self) -> dict[str, Loads]:
+        return {name: peer.received_load.loads for name, peer in sorted(self._peers.items()) if peer.received_load}
 
     def _send_loads(self) -> Iterator[Publish]:
         """Yields to each neighbour the net load of this side, once all other neighbours have sent theirs."""
@@ -450,9 +450,9 @@ class AreaProtocol(ABC):
         for n in self._area.neighbours:
             if missing - {n.area}:
                 continue
-            load, sent = load_message_for(n.area, self._scan.readings.net_load, received), self._peers[n.area].load
-            sigma, last = load.variance**0.5, sent.message
-            message = LoadMessage(self._header(sent.sequence + 1), n.bus, load.s.real, load.s.imag, sigma)
+            loads = load_message_for(self._area, n.area, self._scan.readings.net_loads, received)
+            sent = self._peers[n.area].load
+            last, message = sent.message, LoadMessage.of(self._header(sent.sequence + 1), n.bus, loads)
             # in a tree the same readings give the same load, to the last bit
             if last is None or replace(last, header=message.header) != message or last.header.scan != self.scan:
                 yield self._send(n.area, sent, message)

@@ -53,7 +53,7 @@ from agents.protocol.quality import (
 )
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import find_no_load
-from dsse_core.exchange.boundary_load import NetLoad
+from dsse_core.exchange.boundary_load import Loads
 
 
 class AsynchronousProtocol(AreaProtocol):
@@ -187,9 +187,11 @@ class AsynchronousProtocol(AreaProtocol):
             scan=self.scan,
         )
 
-    def _received_loads(self) -> dict[str, NetLoad]:
+    def _received_loads(self) -> dict[str, Loads]:
         loads = super()._received_loads()
-        return {name: load for name, load in loads.items() if self._peers[name].received_load not in self._set_aside}
+        return {
+            name: of_side for name, of_side in loads.items() if self._peers[name].received_load not in self._set_aside
+        }
 
     def _usable(self) -> dict[str, BoundaryUpdate]:
         """Returns the boundary messages in use: those of this scan; those of a former scan for a while; those of a

@@ -22,7 +22,7 @@ from functools import cached_property
 from agents.messages.packing import Incarnation, TelemetryMessage
 from agents.peers.rejections import find_reading_rejection
 from agents.protocol.configuration import Configuration
-from dsse_core.exchange.boundary_load import NetLoad, measured_net_loads, own_net_load
+from dsse_core.exchange.boundary_load import Loads, measured_net_loads, own_net_loads
 from dsse_core.grid.measurement import Measurement, Meter, Source
 from dsse_core.reading_rules import ANYBODY, KindRule, allowed_lead_s, replaces
 
@@ -242,7 +242,7 @@ class Readings:
             if meter_id not in self._virtual and ((rule := store.rule_of(meter)).period_s is not None or by_clock)
         }
         self._mistimed_share = 0.0
-        self._net_load: NetLoad | None = None  # of these measurements, computed when first used
+        self._net_loads: Loads | None = None  # of these measurements, computed when first used
 
     def take(self, message: TelemetryMessage | None, now: float, wall: float) -> Iterator[str]:
         """Takes a snapshot: the readings of a scan, and the newest of all others.
@@ -265,7 +265,7 @@ class Readings:
         self.measurements = (*(measurement for measurement, _ in read.values()), *self._virtual.values())
         self.silent = [meter_id for meter_id in self._meters if meter_id not in known]
         self.ages = self._find_ages({meter_id: time for meter_id, (_, time) in read.items()}, now, wall)
-        self._net_load = None
+        self._net_loads = None
 
     def _take_scan(self, message: TelemetryMessage, read: Read) -> Iterator[str]:
         """Puts the readings that belong to the scan of ``message`` into ``read``; yields the reasons of rejection."""
@@ -324,10 +324,10 @@ class Readings:
         return Ages(wall, times, overdue_at, len(overdue_s), self._mistimed_share)
 
     @property
-    def net_load(self) -> NetLoad:
-        """Net load of the area's own buses; generation by these readings or as scheduled, as the area file chooses."""
-        if self._net_load is None:
+    def net_loads(self) -> Loads:
+        """Net loads that the area owns; generation by these readings or as scheduled, as the area file chooses."""
+        if self._net_loads is None:
             telemetered = self._content.generation == "telemetered"
             measured = measured_net_loads(self._content.area, self.measurements) if telemetered else {}
-            self._net_load = own_net_load(self._content.area, measured)
-        return self._net_load
+            self._net_loads = own_net_loads(self._content.area, measured)
+        return self._net_loads

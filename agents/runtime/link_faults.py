@@ -102,7 +102,8 @@ class LinkFate:
         f = self.faults
         self._first_load = self._first_load or message
         sent = self._first_load if f.load_frozen else message
-        return replace(message, p=f.load_scale * sent.p + f.load_p, q=f.load_scale * sent.q + f.load_q)
+        p, q = (tuple(f.load_scale * s + more for s in of) for of, more in ((sent.p, f.load_p), (sent.q, f.load_q)))
+        return replace(message, p=p, q=q)
 
     def _draw(self, what: str) -> float:
         return draw_fate(self.seed, self.sender, self.receiver, self.number, what)

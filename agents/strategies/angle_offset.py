@@ -168,7 +168,7 @@ class AngleOffset(Strategy):
         telemetered = self._content.generation == "telemetered"
         own = measured_net_loads(self._area, known.measurements) if telemetered else {}
         for bus, beyond in loads.items():
-            here = own.get(bus, NetLoad(-self._area.network.scheduled_injection(bus)))
+            here = own.get(self._area.network.row[bus], NetLoad(-self._area.network.scheduled_injection(bus)))
             total = add_loads([here, beyond])
             s = -total.s
             sigma = math.hypot(UNSURE_OF_LOAD * abs(s), FLOOR_MVA / self._area.network.base_mva)

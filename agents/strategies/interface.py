@@ -16,7 +16,7 @@ import numpy as np
 
 from agents.messages.packing import BoundaryUpdate, Header
 from agents.protocol.configuration import Configuration
-from dsse_core.exchange.boundary_load import NetLoad
+from dsse_core.exchange.boundary_load import Loads
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.partition import Area, Neighbour
 
@@ -28,13 +28,14 @@ LARGEST_VA = 1e3  # rad; larger angles lose digits
 class Knowledge:
     """Present knowledge of an area, from which its strategy solves.
 
-    ``measurements``: its telemetry of the current scan, virtual measurements included. ``loads``: neighbour ->
-    load message; ``boundary``: neighbour -> its newest boundary message; silent neighbours are absent from both.
-    ``present``: the neighbours that are present and receive this area's messages. ``scan``: number of the scan.
+    ``measurements``: its telemetry of the current scan, virtual measurements included. ``loads``: neighbour -> net
+    loads of its side, one of a balanced side, else one of each phase of the boundary; ``boundary``: neighbour -> its
+    newest boundary message; silent neighbours are absent from both. ``present``: the neighbours that are present and
+    receive this area's messages. ``scan``: number of the scan.
     """
 
     measurements: tuple[Measurement, ...]
-    loads: Mapping[str, NetLoad] = field(default_factory=dict)
+    loads: Mapping[str, Loads] = field(default_factory=dict)
     boundary: Mapping[str, BoundaryUpdate] = field(default_factory=dict)
     present: frozenset[str] = frozenset()
     scan: int = 0

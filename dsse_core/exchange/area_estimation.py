@@ -16,7 +16,7 @@ import numpy as np
 from dsse_core.errors import DsseError
 from dsse_core.estimation.decision import MOST_NAMED, Decision, Memory, Totals, Verdict, limit_total
 from dsse_core.estimation.residuals import MeterChecks, find_dead
-from dsse_core.exchange.boundary_load import NetLoad, stand_in_as_it_was, stand_in_for
+from dsse_core.exchange.boundary_load import Loads, stand_in_as_it_was, stand_in_for
 from dsse_core.exchange.feeder_bad_data import (
     NoLoadModel,
     build_no_load_model,
@@ -107,7 +107,7 @@ class AreaEstimation:
         *,
         silent: Collection[str],
         stale: bool,
-        loads: Mapping[str, NetLoad] | None = None,
+        loads: Mapping[str, Loads] | None = None,
     ) -> None:
         """Starts at the state so far, with ``readings``, virtual ones included; ``silent``: neighbours not in use.
 
@@ -123,17 +123,18 @@ class AreaEstimation:
         self._start_anew(())
         self.stand_ins = self._find_stand_ins(loads or {})
 
-    def _find_stand_ins(self, loads: Mapping[str, NetLoad]) -> dict[str, BoundaryInformation]:
+    def _find_stand_ins(self, loads: Mapping[str, Loads]) -> dict[str, BoundaryInformation]:
         """Silent neighbour -> information that stands in for its own."""
         found, boundaries = {}, self.area.boundaries
         for name in self._silent:
-            if not boundaries[name].is_single:
+            if len(boundaries[name].buses) > 1:
                 y = self._last_y.get(name)
                 if y is None and name not in loads:
                     continue  # nothing is known of the other side
                 own = sum(map(abs, self.area.network.scheduled.tolist()))
                 y = self.model.boundary_values(self._flat, self._by_name[name]) if y is None else y
-                found[name] = stand_in_as_it_was(boundaries[name], y, own + sum(abs(load.s) for load in loads.values()))
+                beyond = sum(abs(load.s) for of_side in loads.values() for load in of_side)
+                found[name] = stand_in_as_it_was(boundaries[name], y, own + beyond)
             elif name in loads:
                 found[name] = stand_in_for(self._by_name[name], boundaries[name], loads[name])
         return found
@@ -329,7 +330,7 @@ class AreaEstimation:
     def _keep_last(self, received: Received) -> None:
         """Keeps, at the end of a scan, the stand-ins for neighbours that have sent ``received`` and may fall silent."""
         for name, message in received.items():
-            if self.area.boundaries[name].is_single:
+            if len(self.area.boundaries[name].buses) == 1:
                 self._aged[name] = BoundaryInformation(AGED * message.R, AGED * message.z)
             else:
                 self._last_y[name] = self.model.boundary_values(self.x, self._by_name[name])

@@ -1,9 +1,12 @@
-"""Net loads at boundary buses: the grid beyond an area's network as one load per boundary bus.
+"""Net loads at boundary buses: the grid beyond an area's network as loads there.
 
 The load at a boundary bus is loads minus generation of everything beyond it (thesis eqs. 5.1, 5.2, 5.6,
 5.7); losses beyond are neglected. It is summed hop by hop along the tree of areas: area i sends neighbour j
 the net load of all buses on its side. A boundary bus itself counts on the side of its owner. Shunts and line
 charging count as loads at 1 p.u. voltage; the difference at another voltage is neglected.
+
+A balanced load has one place, wherever it stands, as power reaches each boundary undivided. With phases a load stands
+at its node, and an area carries all loads to each boundary as currents (``Area.carried_loads``).
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dsse_core.grid.boundary import Boundary
+from dsse_core.grid.boundary import Boundary, Kind
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Source
 from dsse_core.grid.partition import Area, Neighbour, Partition
 from dsse_core.linear.boundary_information import BoundaryInformation
@@ -31,6 +34,10 @@ class NetLoad:
     variance: float = 0.0
 
 
+Loads = tuple[NetLoad, ...]
+"""The net load of a balanced area or side, alone; with phases of each node, or of each phase of a boundary."""
+
+
 def add_loads(loads: Iterable[NetLoad]) -> NetLoad:
     """The sum of loads whose errors are independent."""
     loads = list(loads)
@@ -38,35 +45,56 @@ def add_loads(loads: Iterable[NetLoad]) -> NetLoad:
 
 
 def measured_net_loads(area: Area, measurements: Sequence[Measurement]) -> dict[int, NetLoad]:
-    """Bus -> net load, for the area's buses with a source whose P and Q injections are both telemetered."""
-    buses = {generator.bus for generator in area.network.generators}
+    """Node -> net load, for the nodes of buses with a source whose P and Q injections are both telemetered.
+
+    The total of a bus with phases is that of each of them, in p.u. of a third of the power.
+    """
+    network = area.network
+    buses = {generator.bus for generator in network.generators}
     at_sources = [m for m in measurements if m.meter.bus in buses and m.meter.source is Source.TELEMETERED]
-    read = {(m.meter.kind, m.meter.bus): m for m in at_sources}
+    read = {(m.meter.kind, m.meter.bus, m.meter.phases): m for m in at_sources}
     loads = {}
-    for bus in buses:
-        p, q = (read.get((kind, bus)) for kind in (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION))
+    for node in (node for bus in buses for node in network.nodes_at(bus).tolist()):
+        bus, phase = network.node_buses[node], network.node_phases[node] if network.node_phases else ""
+        p, q = (
+            read.get((kind, bus, phase), read.get((kind, bus, "")))
+            for kind in (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
+        )
         if p is not None and q is not None:
-            loads[bus] = NetLoad(-complex(p.value, q.value), max(p.sigma, q.sigma) ** 2)
+            loads[node] = NetLoad(-complex(p.value, q.value), max(p.sigma, q.sigma) ** 2)
     return loads
 
 
-def own_net_load(area: Area, measured: Mapping[int, NetLoad] | None = None) -> NetLoad:
-    """The net load of the buses that ``area`` owns: ``measured`` (bus -> net load) where that is known, else scheduled.
+def own_net_loads(area: Area, measured: Mapping[int, NetLoad] | None = None) -> Loads:
+    """The net loads that ``area`` owns: ``measured`` (node -> net load) where that is known, else scheduled.
 
     Shunts, which no injection meter sees, and the charging of the area's branches are added.
     """
-    read = {bus: load for bus, load in (measured or {}).items() if bus in area.scheduled_loads}
-    scheduled = (s for bus, s in area.scheduled_loads.items() if bus not in read)
-    return add_loads([*read.values(), NetLoad(sum(scheduled, area.shunt_load))])
+    scheduled = area.scheduled_loads
+    read = {node: load for node, load in (measured or {}).items() if node in scheduled}
+    if area.network.table.nodes.is_balanced:
+        of_schedule = (s for node, s in scheduled.items() if node not in read)
+        return (add_loads([*read.values(), NetLoad(sum(of_schedule, area.shunt_load))]),)
+    here = (read.get(node, NetLoad(scheduled.get(node, 0j))) for node in range(area.network.n_nodes))
+    return tuple(add_loads([load, NetLoad(s)]) for load, s in zip(here, area.shunt_loads.tolist(), strict=True))
 
 
-def load_message_for(neighbour: str, own: NetLoad, received: Mapping[str, NetLoad]) -> NetLoad:
-    """Load message to ``neighbour``: the area's own net load plus those of all its other neighbours."""
-    return add_loads([own, *(load for name, load in received.items() if name != neighbour)])
+def load_message_for(area: Area, neighbour: str, own: Loads, received: Mapping[str, Loads]) -> Loads:
+    """Load message of ``area`` to ``neighbour``: its own net loads and those of its other neighbours."""
+    others = {name: loads for name, loads in received.items() if name != neighbour}
+    if area.network.table.nodes.is_balanced:
+        return (add_loads([*own, *(load for loads in others.values() for load in loads)]),)
+    s, variance = (np.array([getattr(load, what) for load in own]) for what in ("s", "variance"))
+    for name, loads in others.items():
+        np.add.at(s, area.boundary_nodes[name], [load.s for load in loads])
+        np.add.at(variance, area.boundary_nodes[name], [load.variance for load in loads])
+    carried = area.carried_loads[neighbour]
+    return tuple(map(NetLoad, (carried @ s).tolist(), (abs(carried) ** 2 @ variance).tolist()))
 
 
-def boundary_loads(area: Area, received: Mapping[str, NetLoad], error: complex = 0j) -> dict[int, NetLoad]:
-    """Boundary bus -> load beyond it: the sum of the neighbours' load messages there, plus ``error`` (eqs. 5.4, 5.5).
+def boundary_loads(area: Area, received: Mapping[str, Loads], error: complex = 0j) -> dict[int, NetLoad]:
+    """Boundary bus of a balanced area -> load beyond it: the sum of the neighbours' load messages there, plus ``error``
+    (eqs. 5.4, 5.5).
 
     The error is added once per boundary bus. A bus whose neighbours have not all been received is left out.
     """
@@ -74,16 +102,19 @@ def boundary_loads(area: Area, received: Mapping[str, NetLoad], error: complex =
     for bus in area.boundary_buses:
         beyond = [n.area for n in area.neighbours if n.bus == bus]
         if all(name in received for name in beyond):
-            loads[bus] = add_loads([NetLoad(complex(error)), *(received[name] for name in beyond)])
+            loads[bus] = add_loads([NetLoad(complex(error)), *(load for name in beyond for load in received[name])])
     return loads
 
 
-def stand_in_for(neighbour: Neighbour, boundary: Boundary, load: NetLoad) -> BoundaryInformation:
-    """Information about the variables y of the ``boundary``, p.u. and rad, from the net load on its far side."""
-    power = -load.s if neighbour.is_parent else load.s
-    weight = 1 / (load.variance**0.5 + UNSURE_OF_LOAD * abs(load.s) + LEAST_LOAD)
-    R = np.diag(boundary.per_kind(weight, weight, 0.0, 0.0))
-    return BoundaryInformation(R, R @ boundary.per_kind(power.real, power.imag, 0.0, 0.0))
+def stand_in_for(neighbour: Neighbour, boundary: Boundary, loads: Loads) -> BoundaryInformation:
+    """Information about the variables y of the ``boundary``, p.u. and rad, from the net loads on its far side."""
+    y, weights = np.zeros(boundary.d), np.zeros(boundary.d)
+    s = [-load.s if neighbour.is_parent else load.s for load in loads]
+    weight = [1 / (load.variance**0.5 + UNSURE_OF_LOAD * abs(load.s) + LEAST_LOAD) for load in loads]
+    for kind, power in ((Kind.P, np.real(s)), (Kind.Q, np.imag(s))):
+        y[boundary.places[kind]], weights[boundary.places[kind]] = power, weight
+    R = np.diag(weights)
+    return BoundaryInformation(R, R @ y)
 
 
 def stand_in_as_it_was(boundary: Boundary, y: np.ndarray, all_load: float) -> BoundaryInformation:
@@ -99,15 +130,15 @@ def stand_in_as_it_was(boundary: Boundary, y: np.ndarray, all_load: float) -> Bo
     return BoundaryInformation(R, R @ y)
 
 
-def scheduled_load_messages(partition: Partition) -> dict[str, dict[str, NetLoad]]:
+def scheduled_load_messages(partition: Partition) -> dict[str, dict[str, Loads]]:
     """Receiving area -> (neighbour -> load message) when every message is the schedule and none is lost."""
-    own = {area.name: own_net_load(area) for area in partition.areas}
-    received: dict[str, dict[str, NetLoad]] = {area.name: {} for area in partition.areas}
+    own = {area.name: own_net_loads(area) for area in partition.areas}
+    received: dict[str, dict[str, Loads]] = {area.name: {} for area in partition.areas}
     beside = {area.name: list(dict.fromkeys(n.area for n in area.neighbours)) for area in partition.areas}
 
     def send(sender: str, receiver: str) -> None:
         beyond = {name: received[sender][name] for name in beside[sender] if name != receiver}
-        received[receiver][sender] = load_message_for(receiver, own[sender], beyond)
+        received[receiver][sender] = load_message_for(partition.area(sender), receiver, own[sender], beyond)
 
     links = [("", partition.areas[0].name)]  # from an area to the next, down the tree from the first area
     for above, name in links:

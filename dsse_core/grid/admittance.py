@@ -175,6 +175,23 @@ def _find_idle(network: Network, reference: int, vm: float, va: float) -> tuple[
     return abs(source), np.angle(source)
 
 
+def carry_currents(network: Network, held: np.ndarray) -> np.ndarray:
+    """The currents (n_held, n_nodes) into the network at nodes of given voltage for a load of current 1 at each node.
+
+    With the voltages of the ``held`` nodes given, and i the others, ``-Yhi Yii^-1``, and 1 at held nodes themselves. A
+    part without path to ground or to held nodes has currents that sum to zero: GROUNDED carries none of them.
+    """
+    ybus, n = build_admittance(network, with_shunts=False).ybus, network.n_nodes
+    free = np.setdiff1d(np.arange(n), held)
+    carried = np.zeros((len(held), n), dtype=complex)
+    carried[np.arange(len(held)), held] = 1.0
+    if len(free):
+        y = ybus[free][:, free].tocsc()
+        grounded = (y + GROUNDED * sp.diags_array(abs(y.diagonal()), format="csc")).tocsc()
+        carried[:, free] = -spla.splu(grounded).solve(ybus[held][:, free].T.toarray(), trans="T").T
+    return carried
+
+
 def _walk(network: Network, reference: int, tap: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """vm and va along a tree of branches from 1 p.u., 0 rad, (n_bus,); buses out of reach keep 1 p.u., 0 rad."""
     from scipy.sparse.csgraph import breadth_first_order

@@ -86,6 +86,11 @@ class Boundary:
         """True where the areas meet at a single bus of a balanced network."""
         return self.d == 2 * self.n_powers == D_SINGLE and not self.variables[0].phase
 
+    @property
+    def n_loads(self) -> int:
+        """The number of net loads on a side: one of a balanced side, else of each phase of each bus."""
+        return len(self.places[Kind.VM]) if self.variables[0].phase else 1
+
     @cached_property
     def buses(self) -> tuple[int, ...]:
         """The buses at which the areas meet."""

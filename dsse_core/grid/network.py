@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
+from itertools import repeat
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from dsse_core.grid.columns import Records, read_given
 from dsse_core.grid.gauge import Gauge, find_gauge
 from dsse_core.grid.loads import Legs, Load, find_nominal
 from dsse_core.grid.network_table import NetworkTable, tabulate
-from dsse_core.grid.nodes import PHASES, Primitive, explain_phases, list_phases, read_phases
+from dsse_core.grid.nodes import PHASES, Primitive, explain_phases, list_phases, name_node, read_phases
 from dsse_core.printable import listed
 
 ZERO_IMPEDANCE = 1e-6
@@ -168,13 +169,6 @@ class Network:
         """The number of nodes, each with one voltage: of buses where the network is balanced."""
         return len(self.table.nodes)
 
-    @cached_property
-    def node_names(self) -> list[str]:
-        """Names of the nodes, in their order: of a bus with phases "671.a", of a balanced one "671"."""
-        nodes, buses = self.table.nodes, self.table.bus_id
-        places = zip(buses[nodes.item].tolist(), nodes.phase.tolist(), strict=True)
-        return [f"{bus}.{PHASES[phase]}" if phase else str(bus) for bus, phase in places]
-
     def node(self, bus: int, phase: str = "") -> int:
         """The row of a node, by its bus and phase; -1 where the bus lacks the phase."""
         row, nodes = self.row[bus], self.table.nodes
@@ -192,6 +186,11 @@ class Network:
         """The phase of each node; empty in a balanced network."""
         nodes = self.table.nodes
         return () if nodes.is_balanced else tuple(PHASES[phase] for phase in nodes.phase.tolist())
+
+    @cached_property
+    def node_names(self) -> list[str]:
+        """The names of the nodes, such as 671.a."""
+        return list(map(name_node, self.node_buses, self.node_phases or repeat("")))
 
     def nodes_at(self, bus: int) -> np.ndarray:
         """The rows of the nodes of a bus."""
@@ -249,14 +248,15 @@ class Network:
 
         A generator produces at each phase of its bus.
         """
+        return self.find_scheduled(find_nominal(self.table.nodes))
+
+    def find_scheduled(self, v: np.ndarray) -> np.ndarray:
+        """``scheduled`` at the voltages ``v``, complex, p.u., (n_nodes,)."""
         produced, legs = np.zeros(self.n_nodes, dtype=complex), self.legs
         for generator in self.generators:
             produced[self.nodes_at(generator.bus)] += complex(generator.p, generator.q)
-        if self.table.nodes.is_balanced:
-            drawn = legs.s  # each at its node, and of constant power
-        else:
-            nominal = find_nominal(self.table.nodes)
-            drawn = legs.draw(nominal, nominal)
+        is_balanced = self.table.nodes.is_balanced
+        drawn = legs.s if is_balanced else legs.draw(v, find_nominal(self.table.nodes))  # balanced of constant power
         scheduled: np.ndarray = produced - drawn
         return scheduled
 

@@ -14,8 +14,8 @@ from functools import cached_property
 
 import numpy as np
 
-from dsse_core.grid.admittance import find_no_load
-from dsse_core.grid.boundary import Boundary, Variable, boundary_at, boundary_of
+from dsse_core.grid.admittance import build_admittance, carry_currents, find_no_load
+from dsse_core.grid.boundary import Boundary, Kind, Variable, boundary_at, boundary_of
 from dsse_core.grid.columns import Records, split_by, take_items
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.network import Network
@@ -124,9 +124,48 @@ class Area:
 
     @cached_property
     def scheduled_loads(self) -> dict[int, complex]:
-        """Bus that the area owns -> its loads minus generation by the schedule, p.u.; shunts do not count."""
-        owned = (bus.id for bus in self.network.buses if bus.id not in self.not_owned)
-        return {bus: -self.network.scheduled_injection(bus) for bus in owned}
+        """Node that the area owns -> its loads minus generation by the schedule, p.u.; shunts do not count."""
+        injected = self.network.find_scheduled(self._idle_voltages).tolist()
+        return {node: -s for node, s in enumerate(injected) if self.network.node_buses[node] not in self.not_owned}
+
+    @cached_property
+    def shunt_loads(self) -> np.ndarray:
+        """The power that bus shunts and line charging consume in the unloaded grid, (n_nodes,), complex, p.u."""
+        v = self._idle_voltages
+        with_shunts, without = (build_admittance(self.network, with_shunts=is_whole).ybus for is_whole in (True, False))
+        drawn: np.ndarray = v * ((with_shunts - without) @ v).conj()
+        return drawn
+
+    @cached_property
+    def boundary_nodes(self) -> dict[str, np.ndarray]:
+        """Neighbour -> the nodes at the phases of their boundary, in its order."""
+        return {
+            name: np.array([self.network.node(v.bus, v.phase) for v in boundary.variables if v.kind is Kind.VM])
+            for name, boundary in self.boundaries.items()
+        }
+
+    @cached_property
+    def carried_loads(self) -> dict[str, np.ndarray]:
+        """Neighbour -> the powers (k, n_nodes) that loads of 1 at each node draw at the phases of their boundary.
+
+        Loads draw their currents in the unloaded grid; these flow through banks, and voltages are held at the boundary.
+        """
+        return {name: self._carry_loads(name) for name in self.boundaries}
+
+    def _carry_loads(self, neighbour: str) -> np.ndarray:
+        v, nodes = self._idle_voltages, self.boundary_nodes[neighbour]
+        buses = self.boundaries[neighbour].buses
+        held = np.unique(np.concatenate([self.network.nodes_at(bus) for bus in buses]))
+        currents = carry_currents(self.network, held)[np.searchsorted(held, nodes)]
+        carried: np.ndarray = v[nodes, None] * currents.conj() / v
+        return carried
+
+    @cached_property
+    def _idle_voltages(self) -> np.ndarray:
+        """The voltages of the unloaded grid, complex, p.u., (n_nodes,)."""
+        vm, va = self.find_no_load()
+        v: np.ndarray = vm * np.exp(1j * va)
+        return v
 
     @cached_property
     def shunt_load(self) -> complex:

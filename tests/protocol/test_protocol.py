@@ -135,7 +135,9 @@ AT_5, AT_6 = (boundary_at((bus,), "area2").names for bus in (5, 6))
 def load_from_area2(sequence=1, **changes):
     fields = {"run": "sim", "sender": "area2", "incarnation": Incarnation(5, 5), "scan": 1, "time": 0.0}
     bus = changes.pop("bus", 6)
-    return LoadMessage(Header(sequence=sequence, **(fields | changes)), bus, 0.08 + sequence / 1000, 0.05, 0.001)
+    return LoadMessage(
+        Header(sequence=sequence, **(fields | changes)), bus, (0.08 + sequence / 1000,), (0.05,), (0.001,)
+    )
 
 
 def heartbeat_from_area2(received=(0, 0)):
@@ -215,8 +217,8 @@ def test_a_repeat_is_the_same_message_with_the_same_number_and_stops_when_it_is_
         ),
         (load_from_area2(time=STARTED_AT + 1e4), "area2", "time in the future"),
         (load_from_area2(incarnation=Incarnation(int(STARTED_AT * 1000) + 10**7, 1)), "area2", "time in the future"),
-        (replace(load_from_area2(), p=1e300), "area2", "numbers beyond reason"),
-        (replace(load_from_area2(), sigma=-0.1), "area2", "numbers beyond reason"),
+        (replace(load_from_area2(), p=(1e300,)), "area2", "numbers beyond reason"),
+        (replace(load_from_area2(), sigma=(-0.1,)), "area2", "numbers beyond reason"),
         (BoundaryMessage(load_from_area2().header, 6, 0.0, 0.0, True), "area2", "numbers beyond reason"),
         (
             AdmmMessage(load_from_area2().header, 6, 1, (), (), (), True, True, variables=AT_6),
@@ -234,6 +236,14 @@ def test_what_should_not_have_come_is_rejected_and_counted(area1, message, key_s
     state = last_state(act(protocol, [], content.beat_s))
     assert state.rejected == {reason: 1}
     assert state.received["area2"] == (0, 0)
+
+
+def test_net_loads_of_more_phases_than_the_boundary_has_are_rejected(area1):
+    protocol, telemetry, _ = area1
+    act(protocol, [telemetry], 0.0)
+    message = replace(load_from_area2(), p=(0.1,) * 3, q=(0.1,) * 3, sigma=(0.1,) * 3)
+    act(protocol, [Received(message, "area2")], 0.01)
+    assert protocol._rejections.counts["other boundary variables"] == 1
 
 
 def test_a_clock_that_is_behind_is_named_once_as_the_cause_until_the_sender_is_received(area1):

@@ -73,7 +73,7 @@ UP = UpMessage(
 
 
 MESSAGES = [
-    LoadMessage(HEADER, 6, 0.25, -0.1, 0.01),
+    LoadMessage(HEADER, 6, (0.25,), (-0.1,), (0.01,)),
     BoundaryMessage(HEADER, 6, 0.95, -0.02, True),
     AdmmMessage(
         HEADER,

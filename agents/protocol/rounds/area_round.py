@@ -27,7 +27,7 @@ from dsse_core.estimation.decision import (
     name_next,
 )
 from dsse_core.exchange.area_estimation import FAILURES, AreaEstimation
-from dsse_core.exchange.boundary_load import NetLoad
+from dsse_core.exchange.boundary_load import Loads
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.partition import Area
 from dsse_core.linear.boundary_information import BEYOND_REASON, BoundaryInformation
@@ -116,8 +116,8 @@ class AreaRound:
         self._memory = Memory()
         self._go_to(0)
 
-    def begin(self, readings: Sequence[Measurement], *, stale: bool, loads: Mapping[str, NetLoad]) -> None:
-        """Begins round 0 with the readings of the term; ``loads``: neighbour -> net load of its load message."""
+    def begin(self, readings: Sequence[Measurement], *, stale: bool, loads: Mapping[str, Loads]) -> None:
+        """Begins round 0 with the readings of the term; ``loads``: neighbour -> net loads of its load message."""
         silent = {n.area for n in self._area.neighbours} - self.links
         self._has_begun = True
         try:

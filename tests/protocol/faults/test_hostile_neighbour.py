@@ -134,7 +134,7 @@ def test_a_wild_scan_number_names_the_one_in_whose_name_it_came():
 def test_who_announced_a_scan_that_then_came_is_accused_no_more():
     rejections = Rejections()
     header = Header("run", "area2", Incarnation(1, 1), 50, 1, 0.0)
-    rejections.reject(LoadMessage(header, 6, 0.0, 0.0, 0.0), "area2", FAR_SCAN, 0.0)
+    rejections.reject(LoadMessage(header, 6, (0.0,), (0.0,), (0.0,)), "area2", FAR_SCAN, 0.0)
     rejections.note_scan(49)
     assert rejections.far_scans == {"area2": 50}
     rejections.note_scan(50)

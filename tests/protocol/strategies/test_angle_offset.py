@@ -189,7 +189,7 @@ def test_the_local_power_flow_is_the_starting_point(estimations):
     scenario = load_scenario("ieee33")
     bus, _ = settle(scenario)
     for area in scenario.partition.areas:
-        sent = {s: m.load for _, s, r, m in bus.delivered if r == area.name and isinstance(m, LoadMessage)}
+        sent = {s: m.loads for _, s, r, m in bus.delivered if r == area.name and isinstance(m, LoadMessage)}
         flow = solve_power_flow(
             area.network,
             slack=(area.slack_bus, area.slack_vm),
@@ -206,12 +206,13 @@ def test_the_boundary_injection_is_as_uncertain_as_the_meters_in_the_load_messag
     bus, _ = settle(scenario)
     sent = [m for _, _, receiver, m in bus.delivered if receiver == "area1" and isinstance(m, LoadMessage)][-1]
     floor = 1e-3 / scenario.network.base_mva
-    assert sent.sigma > 0.5 * 0.10 * abs(sent.load.s)
+    (sigma,), (load,) = sent.sigma, sent.loads
+    assert sigma > 0.5 * 0.10 * abs(load.s)
     used = [measurements for name, measurements, _ in estimations if name == "area1"][-1]
     pseudo = [m for m in used if m.meter.source is Source.PSEUDO and m.meter.kind.of_injection]
     assert [m.meter.id for m in pseudo] == ["p_injection@3", "q_injection@3"]
     for m in pseudo:
-        assert m.sigma == pytest.approx(math.sqrt((0.10 * abs(sent.load.s)) ** 2 + floor**2 + sent.sigma**2))
+        assert m.sigma == pytest.approx(math.sqrt((0.10 * abs(load.s)) ** 2 + floor**2 + sigma**2))
 
 
 def test_the_only_voltmeter_of_an_area_is_published_as_critical():

@@ -102,6 +102,14 @@ def test_a_log_of_wire_version_2_is_read_and_what_it_lacks_has_its_default(kind)
     assert decode_recorded(encode(expected)) == expected
 
 
+@pytest.mark.parametrize("lacking", [1, 2])
+def test_a_log_of_this_wire_version_from_before_the_last_fields_is_read(lacking):
+    short = seal(msgspec.msgpack.encode(places_of(STATE)[:-lacking]))
+    assert decode_recorded(short) == STATE
+    with pytest.raises(MessageError, match="malformed"):
+        decode(short)
+
+
 def test_a_recorded_message_that_lacks_more_than_defaults_is_rejected():
     places = msgspec.msgpack.decode(bytes.fromhex(RECORDED[2]["state"])[:-4])
     for short in (places[:2], places[:10], ["2", "state"], [2, "state"]):

@@ -24,7 +24,7 @@ def header(incarnation: Incarnation = FIRST, sequence: int = 1, time: float = WA
 
 
 def load(incarnation: Incarnation = FIRST, sequence: int = 1) -> LoadMessage:
-    return LoadMessage(header(incarnation, sequence), 6, float(sequence), 0.0, 0.1)
+    return LoadMessage(header(incarnation, sequence), 6, (float(sequence),), (0.0,), (0.1,))
 
 
 def heartbeat(incarnation: Incarnation = FIRST, *, time: float = WALL, **changes: object) -> HeartbeatMessage:

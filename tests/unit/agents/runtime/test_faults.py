@@ -174,13 +174,13 @@ def test_after_until_nothing_befalls_a_message_any_more():
 
 
 def test_load_messages_are_biased_scaled_or_frozen_and_nothing_else_is():
-    loads = [LoadMessage(header(k), 6, 0.1 * k, 0.05, 0.01) for k in (1, 2)]
+    loads = [LoadMessage(header(k), 6, (0.1 * k,), (0.05,), (0.01,)) for k in (1, 2)]
     arrived, link = send(LinkFaults(load_p=0.3, load_q=-0.1, load_scale=2.0), [*loads, boundary()])
-    assert [(m.p, m.q) for m in arrived[:2]] == [(0.5, 0.0), (0.7, 0.0)]
+    assert [(m.p, m.q) for m in arrived[:2]] == [((0.5,), (0.0,)), ((0.7,), (0.0,))]
     assert arrived[2] == boundary()
     assert link.met == {"load changed": 2}
     frozen, _ = send(LinkFaults(load_frozen=True), loads)
-    assert [(m.p, m.header.sequence) for m in frozen] == [(0.1, 1), (0.1, 2)]
+    assert [(m.p, m.header.sequence) for m in frozen] == [((0.1,), 1), ((0.1,), 2)]
 
 
 NAMES = boundary_at((6,), "a").names

@@ -15,7 +15,7 @@ from agents.runtime.ingress_filter import MOST_GATEWAYS, IngressFilter
 from dsse_core.limits import LARGEST_BUS
 
 KEY, TELEMETRY = "dsse/v3/r/area/area2/load/area1", "dsse/v3/r/telemetry/area1/plant"
-LOAD = LoadMessage(Header("r", "area2", Incarnation(1, 1), 1, 1, 0.0), 6, 0.1, 0.0, 0.01)
+LOAD = LoadMessage(Header("r", "area2", Incarnation(1, 1), 1, 1, 0.0), 6, (0.1,), (0.0,), (0.01,))
 
 
 @pytest.fixture

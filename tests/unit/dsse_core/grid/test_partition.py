@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.exchange.boundary_load import NetLoad, boundary_loads, own_net_load, scheduled_load_messages
+from dsse_core.exchange.boundary_load import Loads, NetLoad, boundary_loads, own_net_loads, scheduled_load_messages
 from dsse_core.grid.admittance import find_no_load
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import MeasurementKind, Meter
@@ -254,13 +254,17 @@ def divided_trees(draw):
     return network, {name: sorted(areas[name]) for name in order}
 
 
+def total_of(*sides: Loads) -> complex:
+    return sum((load.s for loads in sides for load in loads), 0j)
+
+
 def test_load_messages_of_many_areas_in_a_row_add_up():
     n = 1001
     partition = build_partition(row(n), {f"a{k}": [k, k + 1] for k in range(1, n)})
     received = scheduled_load_messages(partition)
     for area in (partition.areas[0], partition.areas[n // 2], partition.areas[-1]):
-        everything = own_net_load(area).s + sum((load.s for load in received[area.name].values()), 0j)
-        assert everything == pytest.approx(sum(own_net_load(one).s for one in partition.areas))
+        everything = total_of(own_net_loads(area), *received[area.name].values())
+        assert everything == pytest.approx(total_of(*(own_net_loads(one) for one in partition.areas)))
 
 
 @settings(max_examples=150, deadline=None)
@@ -273,12 +277,12 @@ def test_what_an_area_owns_and_receives_is_the_net_load_of_the_whole_grid(divide
     received = scheduled_load_messages(partition)
     for area in partition.areas:
         assert set(received[area.name]) == {n.area for n in area.neighbours}
-        everything = own_net_load(area).s + sum((load.s for load in received[area.name].values()), 0j)
+        everything = total_of(own_net_loads(area), *received[area.name].values())
         assert everything == pytest.approx(total, abs=1e-9)
         at_boundaries = boundary_loads(area, received[area.name], error=0.3 + 0.3j)
         assert set(at_boundaries) == set(area.boundary_buses)
         beyond = sum((load.s for load in at_boundaries.values()), 0j)
-        expected = total - own_net_load(area).s + (0.3 + 0.3j) * len(area.boundary_buses)
+        expected = total - total_of(own_net_loads(area)) + (0.3 + 0.3j) * len(area.boundary_buses)
         assert beyond == pytest.approx(expected, abs=1e-9)
 
 
@@ -313,15 +317,16 @@ def test_a_shunt_counts_as_the_load_that_it_is_at_nominal_voltage_also_where_the
         )
     )
     reported = [
-        scheduled_load_messages(build_partition(n, {"a": [1, 2, 3], "b": [3, 4, 5]}))["b"]["a"].s
+        scheduled_load_messages(build_partition(n, {"a": [1, 2, 3], "b": [3, 4, 5]}))["b"]["a"][0].s
         for n in (as_shunt, as_load)
     ]
     assert reported[0] == pytest.approx(reported[1])
 
     area = build_partition(as_shunt, {"a": [1, 2, 3], "b": [3, 4, 5]}).area("a")
     read = NetLoad(-as_shunt.scheduled_injection(2), variance=1e-4)  # an injection meter does not see the shunt
-    assert own_net_load(area, {2: read}).s == pytest.approx(own_net_load(area).s)
-    assert own_net_load(area, {2: read}).variance == 1e-4
+    (load,) = own_net_loads(area, {area.network.node(2): read})
+    assert load.s == pytest.approx(total_of(own_net_loads(area)))
+    assert load.variance == 1e-4
 
 
 def test_an_unacknowledged_neighbour_leaves_its_boundary_bus_out():

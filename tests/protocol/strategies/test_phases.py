@@ -1,0 +1,92 @@
+"""Areas of a network with phases over the simulated bus: the centre's estimate after loss, kills and restarts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import pytest
+
+from agents.messages.packing import LoadMessage, UpMessage, encode
+from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.measurement import Measurement
+from dsse_core.grid.network import Network
+from dsse_core.grid.partition import Partition
+from dsse_core.link_faults import LinkFaults
+from tests.support.areas_with_phases import find_gap, find_qualities, read_by_area, split_phases
+from tests.support.phases import AREAS, DEEP, RING, TIE, make_feeder, read_meters
+from tests.support.simulated_bus import SimulatedBus
+
+GAP = 1e-9  # p.u. and rad
+DIVISIONS = {"four areas": AREAS, "six areas": DEEP, "a ring": RING}
+
+
+@cache
+def divide(name: str) -> tuple[Network, Partition]:
+    network = make_feeder(*([TIE] if name == "a ring" else []))
+    return network, build_partition(network, DIVISIONS[name])
+
+
+@cache
+def estimate_centrally(name: str, *, is_rich: bool, seed: int = 2) -> tuple[list[Measurement], BadDataReport]:
+    network, _ = divide(name)
+    readings = read_meters(network, seed, 1.0, is_rich=is_rich)
+    return readings, process_bad_data(network, readings)
+
+
+def start(name: str, faults: LinkFaults = LinkFaults(), *, is_rich: bool = True) -> SimulatedBus:  # noqa: B008
+    _, partition = divide(name)
+    readings, _ = estimate_centrally(name, is_rich=is_rich)
+    return SimulatedBus(split_phases(partition, readings, faults), read_by_area(partition, readings))
+
+
+def assert_all_have_the_centres(bus: SimulatedBus, name: str, *, is_rich: bool = True) -> None:
+    network, _ = divide(name)
+    assert find_qualities(bus) == dict.fromkeys(bus.files, "good")
+    assert find_gap(bus, network, estimate_centrally(name, is_rich=is_rich)[1]) < GAP
+
+
+@pytest.mark.parametrize("name", DIVISIONS)
+@pytest.mark.parametrize("is_rich", [True, False], ids=["rich", "sparse"])
+def test_areas_with_phases_are_good_at_the_centres_estimate(name: str, is_rich: bool):
+    bus = start(name, is_rich=is_rich)
+    bus.run(3.0)
+    assert_all_have_the_centres(bus, name, is_rich=is_rich)
+    assert not any(state.rejected for state in bus.states.values())
+
+
+def test_loss_of_most_messages_changes_no_estimate():
+    bus = start("four areas", LinkFaults(loss=0.6))
+    bus.run(20.0)
+    assert_all_have_the_centres(bus, "four areas")
+
+
+@pytest.mark.parametrize("gone", ["east", "head"])
+def test_areas_without_a_killed_one_are_degraded_and_good_again_after_its_restart(gone: str):
+    bus = start("four areas")
+    bus.run(3.0)
+    bus.kill(gone)
+    bus.run(5.0)
+    left = {name: quality for name, quality in find_qualities(bus).items() if name != gone}
+    assert set(left.values()) == {"degraded"}
+    assert find_gap(bus, divide("four areas")[0], estimate_centrally("four areas", is_rich=True)[1]) < 1e-3
+    bus.start(gone)
+    bus.run(5.0)
+    assert_all_have_the_centres(bus, "four areas")
+
+
+def test_messages_of_phases_are_as_small_as_their_variables_allow():
+    bus = start("six areas")
+    bus.run(3.0)
+    largest: dict[int, int] = {}
+    for _, _, _, message in bus.delivered:
+        if isinstance(message, UpMessage):
+            bare = encode(replace(message, no_load=(), totals=replace(message.totals, worst=(), tied=())))
+            n = message.boundary.n_powers // 2
+            largest[n] = max(largest.get(n, 0), len(bare))
+    assert largest.keys() == {1, 2, 3}
+    for n, most in ((1, 360), (2, 660), (3, 1100)):  # a balanced one of ieee33 has 347
+        assert 300 < largest[n] < most
+    loads = {len(m.p): len(encode(m)) for _, _, _, m in bus.delivered if isinstance(m, LoadMessage)}
+    assert loads.keys() == {1, 2, 3}
