@@ -86,7 +86,8 @@ def make_scan_table(
     ``readings``, and ``bad_data_left``. ``removed``: row -> ids of the meters taken out; ``undecided``: row -> ids of
     the meters that the readings do not tell from those.
     """
-    rows, bus = np.arange(len(batch.vm)), batch.plan.network.table.bus_id
+    rows, table = np.arange(len(batch.vm)), batch.plan.network.table
+    bus = table.bus_id[table.nodes.item]
     found, failures = ~np.isnan(batch.vm[:, 0]), batch.failures
     lowest = np.argmin(np.where(np.isnan(batch.vm), np.inf, batch.vm), axis=1)
     highest = np.argmax(np.where(np.isnan(batch.vm), -np.inf, batch.vm), axis=1)

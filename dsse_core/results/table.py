@@ -75,6 +75,11 @@ def as_times(seconds: np.ndarray) -> np.ndarray:
     return np.where(known, np.round(1000 * np.where(known, seconds, 0.0)), -(2.0**63)).astype("int64").view("M8[ms]")
 
 
+def name_by_phase(ids: Iterable[str], phases: Iterable[str]) -> list[str]:
+    """Labels of rows: their ids, such as 671, of a row of one phase 671.b."""
+    return [name if phase == PHASE else f"{name}.{phase}" for name, phase in zip(ids, phases, strict=True)]
+
+
 class Table:
     """Columns by name: ``table.vm_pu`` and ``table["vm_pu"]``. ``len(table)``: the number of rows.
 

@@ -35,6 +35,12 @@ test("a feeder on which nothing is wrong", () => {
   assert.equal(tiles.Power.text, "head: 3926.5 kW\nload: 3715.3 kW\nlosses: 211.2 kW");
 });
 
+test("a phase is named, and its bus is selected", () => {
+  const { Voltage } = tilesOf({ of: { voltage: spread(6, at("5.b", 0.95), at("2.c", 1.01)) } });
+  assert.deepEqual(Voltage.offers.map(({ label, choice }) => [label, choice.id]), [["5.b: 0.9500", "5"], ["2.c: 1.0100", "2"]]);
+  assert.deepEqual(findWorst(moment({ of: { voltage: spread(6, at("5.b", 0.95), at("2.c", 1.01)) } })), { kind: "bus", id: "5" });
+});
+
 test("what is outside the limits is counted and offered, the farthest first", () => {
   const { Voltage, Loading } = tilesOf({
     of: {

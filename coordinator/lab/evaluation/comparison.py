@@ -10,7 +10,6 @@ import numpy as np
 
 from agents.messages.packing import StateMessage
 from dsse_core.estimation.bad_data import BadDataReport
-from dsse_core.grid.nodes import name_node
 from dsse_core.grid.partition import Partition
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.results.state import AreaVoltages
@@ -76,8 +75,7 @@ class Comparison:
         size = np.fmax(abs(one.vm - other.vm), abs(np.radians(wrap_degrees(one.va - other.va))))
         if np.isnan(size).all():
             return None
-        node = int(np.nanargmax(size))
-        return name_node(network.node_buses[node], network.node_phases[node] if network.node_phases else "")
+        return network.node_names[int(np.nanargmax(size))]
 
     @property
     def error(self) -> Gap:

@@ -69,7 +69,7 @@ class ReplayedScans:
         missing: list[str],
     ) -> dict[str, object]:
         """The columns of ``ScanColumns`` but the time, of one scan. J and its limit are the centralised ones."""
-        vm, bus = comparison.decentralised.vm, self._scenario.network.table.bus_id
+        vm, bus = comparison.decentralised.vm, self._scenario.network.node_buses
         lowest, highest = ((int(of(vm)) if not np.isnan(vm).all() else None) for of in (np.nanargmin, np.nanargmax))
         return {
             "scan": scan,

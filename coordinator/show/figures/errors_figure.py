@@ -1,4 +1,4 @@
-"""Errors of the estimates within the band of their standard deviations, bus by bus."""
+"""Errors of the estimates within the band of their standard deviations, bus by bus and phase by phase."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PANELS = ("magnitude {} (p.u.)", "angle {} (degrees)")
 
 def draw_errors(outcome: RunOutcome) -> Drawing:
     """Figure of both estimates' errors; without a truth, of the decentralised estimate's gap to the centralised one."""
-    comparison, order = outcome.comparison, order_buses(outcome.comparison.partition)
+    comparison, order = outcome.comparison, order_nodes(outcome.comparison.partition)
     known = comparison.knows_truth
     reference = comparison.truth if known else comparison.centralised
     what = "error" if known else "gap"
@@ -41,7 +41,7 @@ def draw_errors(outcome: RunOutcome) -> Drawing:
         _draw_marks(axis, error, "decentralised estimate", DECENTRALISED)
         axis.axhline(0, color="0.5", linewidth=0.6)
         axis.set_ylabel(panel.format(what))
-        label_buses(axis, comparison.partition, order, named=axis is axes[-1])
+        label_nodes(axis, comparison.partition, order, named=axis is axes[-1])
         inside.append(_count_inside(error, sigma))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize="small")
     title = "Errors of the estimates" if known else "Difference to the centralised estimate"
@@ -58,7 +58,7 @@ def _difference(of: str, one: object, other: object) -> np.ndarray:
 
 
 def _draw_band(axis: Axes, sigma: np.ndarray) -> None:
-    """Draw the band over half a bus to both sides of each bus; no band where sigma is nan."""
+    """Draw the band over half a place to both sides of each node; no band where sigma is nan."""
     edges = np.arange(len(sigma) + 1) - 0.5
     half = BAND * np.append(sigma, sigma[-1:])
     axis.fill_between(
@@ -73,7 +73,7 @@ def _draw_marks(axis: Axes, values: np.ndarray, label: str, style: dict[str, Any
 
 
 def _count_inside(error: np.ndarray, sigma: np.ndarray) -> tuple[int, int]:
-    """Number of buses with an error within the band, and number of buses with a known error and deviation."""
+    """Number of nodes with an error within the band, and number of nodes with a known error and deviation."""
     known = ~np.isnan(error) & ~np.isnan(sigma)
     return int((abs(error[known]) <= BAND * sigma[known]).sum()), int(known.sum())
 
@@ -89,24 +89,25 @@ def _describe(comparison: Comparison, inside: list[tuple[int, int]]) -> str:
     )
 
 
-def order_buses(partition: Partition) -> np.ndarray:
-    """Rows of all buses, area after area, within an area by bus number."""
+def order_nodes(partition: Partition) -> np.ndarray:
+    """Rows of all nodes, area after area, within an area by bus number."""
     number = {area.name: k for k, area in enumerate(partition.areas)}
-    owner, ids = partition.owner_of_bus, partition.network.table.bus_id.tolist()
-    return np.array(sorted(range(len(ids)), key=lambda row: (number[owner[ids[row]]], ids[row])), dtype=np.int64)
+    owner, buses = partition.owner_of_bus, partition.network.node_buses
+    return np.array(sorted(range(len(buses)), key=lambda row: (number[owner[buses[row]]], buses[row])), dtype=np.int64)
 
 
-def label_buses(axis: Axes, partition: Partition, order: np.ndarray, named: bool = True) -> None:
-    """Label the axis with bus numbers, shade every second area and mark boundary buses.
+def label_nodes(axis: Axes, partition: Partition, order: np.ndarray, named: bool = True) -> None:
+    """Label the axis with bus numbers and phases, shade every second area and mark boundary buses.
 
     ``named``: with area names and a label of the axis. Bus numbers are thinned out, and the other marks left out, where
     there are too many."""
-    ids = partition.network.table.bus_id[order].tolist()
-    owners = [partition.owner_of_bus[bus] for bus in ids]
-    letters = max(len(str(bus)) for bus in ids) + 1
-    step = -(-len(ids) // min(MAX_LABELS, LETTERS_OF_AXIS // letters))
-    axis.set_xticks(range(0, len(ids), step), [str(bus) for bus in ids[::step]], fontsize="small")
-    axis.set_xlim(-0.7, len(ids) - 0.3)
+    buses = np.array(partition.network.node_buses)[order].tolist()
+    names = [partition.network.node_names[row] for row in order.tolist()]
+    owners = [partition.owner_of_bus[bus] for bus in buses]
+    letters = max(map(len, names)) + 1
+    step = -(-len(names) // min(MAX_LABELS, LETTERS_OF_AXIS // letters))
+    axis.set_xticks(range(0, len(names), step), names[::step], fontsize="small")
+    axis.set_xlim(-0.7, len(names) - 0.3)
     axis.grid(axis="y", alpha=0.3)
     ends = [k for k, owner in enumerate(owners) if k + 1 == len(owners) or owners[k + 1] != owner]
     starts = [0, *(end + 1 for end in ends[:-1])]
@@ -114,16 +115,17 @@ def label_buses(axis: Axes, partition: Partition, order: np.ndarray, named: bool
         if number % 2 and len(ends) <= MAX_SHADED:
             axis.axvspan(first - 0.5, last + 0.5, color=GREY, alpha=0.12, linewidth=0)
         if named and len(ends) <= MAX_AREA_NAMES:
-            name = plot_text(owners[first], max(3, LETTERS_OF_AXIS * (last + 1 - first) // len(ids)))
+            name = plot_text(owners[first], max(3, LETTERS_OF_AXIS * (last + 1 - first) // len(names)))
             place = ((first + last) / 2, 0)
             axis.annotate(
                 name, place, (0, 4), ("data", "axes fraction"), "offset points", ha="center", fontsize="small"
             )
     boundaries = set(partition.boundaries if len(partition.boundaries) <= MAX_BOUNDARIES else ())
-    for number, bus in enumerate(ids):
+    for number, bus in enumerate(buses):
         if bus in boundaries:
             axis.axvline(number, color=GREY, linestyle=":", linewidth=1)
     if named:
         marked = ["dotted: boundary bus"] * bool(boundaries)
         marked += ["shaded: every second area"] * (1 < len(ends) <= MAX_SHADED)
-        axis.set_xlabel(f"bus ({'; '.join(marked)})" if marked else "bus, area after area")
+        what = "bus" if partition.network.table.nodes.is_balanced else "bus and phase"
+        axis.set_xlabel(f"{what} ({'; '.join(marked)})" if marked else f"{what}, area after area")

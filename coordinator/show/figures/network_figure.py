@@ -24,13 +24,18 @@ from dsse_core.estimation.state_limits import OperatingLimits
 
 COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.15, 0.95, 256)))
 """Even steps of lightness, also for the colour-blind and for grey print; without the ends, which pages would hide."""
+LABEL_IN = 0.25  # room for the number of a bus beside the colours, inches
 LEAST_SPAN = 0.01  # p.u. between the ends of the colours: a flat profile has one colour
 
 
 def draw_network(outcome: RunOutcome) -> Drawing:
-    """Figure of the network; a branch has the colour of its ends' mean, grey where there is no fresh estimate."""
+    """Figure of the network; a branch has the colour of its ends' mean, grey where there is no fresh estimate.
+
+    A bus with phases has the colour of the lowest of them.
+    """
     partition, network, limits = outcome.scenario.partition, outcome.scenario.network, outcome.scenario.operating_limits
-    vm = np.where(outcome.buses.fresh, outcome.comparison.decentralised.vm, np.nan)
+    nodes = network.table.nodes
+    vm = np.fmin.reduceat(np.where(outcome.buses.fresh, outcome.comparison.decentralised.vm, np.nan), nodes.first)
     layout = lay_out(network)
     known = np.flatnonzero(~np.isnan(vm))
     ends = [int(known[np.argmin(vm[known])]), int(known[np.argmax(vm[known])])] if len(known) else []
@@ -66,13 +71,22 @@ def draw_network(outcome: RunOutcome) -> Drawing:
         axes.scatter(x, y, s=4 * size, marker="^", zorder=4, **edges)
     axes.autoscale_view()
     mark_boundaries(axes, partition, layout, fill="none")
+    what = "magnitude" if nodes.is_balanced else "magnitude of the lowest phase"
     if len(known):
-        figure.colorbar(dots, ax=axes, label="voltage magnitude (p.u.)", shrink=0.7, pad=0.01, fraction=0.05, aspect=30)
+        figure.colorbar(
+            dots,
+            ax=axes,
+            label=f"voltage {what} (p.u.)",
+            shrink=0.7,
+            pad=LABEL_IN / figure.get_figwidth(),
+            fraction=0.05,
+            aspect=30,
+        )
     figure.legend(loc="outside lower right", ncols=2, fontsize="small")
     ids = network.table.bus_id
     number_buses(axes, partition, layout, [int(ids[row]) for row in ends])
     numbered = "boundary buses and those of the lowest and the highest voltage have their numbers"
-    caption = f"Estimated voltage magnitude on the one-line diagram; {numbered}. Dashed branches close loops."
+    caption = f"Estimated voltage {what} on the one-line diagram; {numbered}. Dashed branches close loops."
     if len(known) < len(vm):
         caption += f" Grey: {len(vm) - len(known)} buses without a fresh estimate."
     return Drawing("network", "Voltages in the network", caption, figure)

@@ -1,4 +1,4 @@
-"""Voltage profiles: magnitude and angle of every bus against its distance from the substation."""
+"""Voltage profiles: magnitude and angle of every bus, phase by phase, against its distance from the substation."""
 
 from __future__ import annotations
 
@@ -15,21 +15,39 @@ from coordinator.show.figures.feeder_profile import find_distances
 from coordinator.show.figures.style import (
     CENTRALISED,
     DECENTRALISED,
+    GREEN,
     GREY,
+    LINES,
     MAX_VECTOR,
+    ORANGE,
     PURPLE,
+    SKY,
     TRUE,
     Drawing,
     new_figure,
 )
 from dsse_core.estimation.state_limits import OperatingLimits
+from dsse_core.grid.admittance import find_no_load
 from dsse_core.grid.network import Network
+from dsse_core.grid.nodes import PHASES
 from dsse_core.results.units import wrap_degrees
+
+COLOUR_OF_PHASE = {"": GREY, "a": ORANGE, "b": GREEN, "c": SKY, "s1": ORANGE, "s2": GREEN}
+LINE_OF_PHASE: list[dict[str, Any]] = [
+    {
+        "colors": COLOUR_OF_PHASE[phase],
+        "linewidths": 1.6 if phase else 0.7,
+        "linestyles": LINES[number % 3] if phase else "solid",
+        "label": f"phase {phase}" if phase else "branch",
+    }
+    for number, phase in enumerate(PHASES)
+]
+"""Style of the lines of branches, for each of PHASES."""
 
 
 @dataclass(frozen=True)
 class Profile:
-    """Voltages of all buses of ``network`` from several sources. ``shown``: name -> voltages and style of their marks,
+    """Voltages of all nodes of ``network`` from several sources. ``shown``: name -> voltages and style of their marks,
     the last ones of the result itself. ``limits``: of magnitudes.
     """
 
@@ -61,21 +79,28 @@ def draw_magnitudes(profile: Profile) -> Drawing:
     drawing = _draw(profile, "magnitudes", "Voltage profile", "voltage magnitude (p.u.)", lambda v: v.vm, (low, high))
     if np.isnan(vm).all():
         return drawing
-    ids = profile.network.table.bus_id
+    names = profile.network.node_names
     lowest, highest = int(np.nanargmin(vm)), int(np.nanargmax(vm))
     beyond = int((vm < low).sum() + (vm > high).sum())
     known = int(np.isfinite(vm).sum())
-    facts = "" if known == len(vm) else f"Of {len(vm)} buses {known} known. "
+    is_balanced = profile.network.table.nodes.is_balanced
+    one, many = ("bus", "buses") if is_balanced else ("phase of a bus", "phases of buses")
+    facts = "" if known == len(vm) else f"Of {len(vm)} {many} {known} known. "
     facts += (
-        f"Lowest: {vm[lowest]:.4f} p.u. at bus {ids[lowest]}; highest: {vm[highest]:.4f} p.u. at bus {ids[highest]}. "
-        f"Limits: {low:g} and {high:g} p.u.; {beyond or 'no'} bus{'' if beyond == 1 else 'es'} beyond them."
+        f"Lowest: {vm[lowest]:.4f} p.u. at bus {names[lowest]}; highest: {vm[highest]:.4f} p.u. at bus "
+        f"{names[highest]}. Limits: {low:g} and {high:g} p.u.; {beyond or 'no'} {one if beyond == 1 else many} beyond "
+        "them."
     )
     return Drawing(drawing.name, drawing.title, f"{drawing.caption} {facts}", drawing.figure)
 
 
 def draw_angles(profile: Profile) -> Drawing:
-    """Figure of the voltage angles, which have no limits."""
-    return _draw(profile, "angles", "Voltage angles", "voltage angle (degrees)", lambda v: wrap_degrees(v.va), ())
+    """Figure of the voltage angles, which have no limits; of phases, a third of a turn apart, less those at no load."""
+    network, of_no_load, label = profile.network, 0.0 * profile.network.table.nodes.phase, "voltage angle (degrees)"
+    if not network.table.nodes.is_balanced and network.slack:
+        of_no_load = find_no_load(network, network.slack.bus, None, {network.slack.bus: network.slack.va})[1]
+        label = "voltage angle less that\nof no load (degrees)"
+    return _draw(profile, "angles", "Voltage angles", label, lambda v: wrap_degrees(v.va - of_no_load), ())
 
 
 def _draw(
@@ -89,13 +114,20 @@ def _draw(
     network = profile.network
     *_, (voltages, _) = profile.shown.values()
     distance, x_label = find_distances(network)
+    distance = distance[network.table.nodes.item]
     figure, (axis,) = new_figure(4.2)
     ours = of(voltages)
-    ends = np.stack([np.stack([distance[end], ours[end]], axis=-1) for end in (network.table.f, network.table.t)], 1)
-    shown = ends[np.isfinite(ends).all(axis=(1, 2))]
+    f, t = _find_conductors(network)
+    ends, phase = (
+        np.stack([np.stack([distance[end], ours[end]], axis=-1) for end in (f, t)], 1),
+        network.table.nodes.phase,
+    )
     many = len(distance) > 200
     large = len(distance) > MAX_VECTOR
-    axis.add_collection(LineCollection(list(shown), colors=GREY, linewidths=0.7, label="branch", rasterized=large))
+    for number in np.unique(phase[f]).tolist():
+        shown = ends[np.isfinite(ends).all(axis=(1, 2)) & (phase[f] == number)]
+        drawn = LineCollection(list(shown), **LINE_OF_PHASE[number], rasterized=large)
+        axis.add_collection(drawn)
     for which, (voltages, style) in profile.shown.items():
         size = style | ({"markersize": style["markersize"] / 2} if many else {})
         axis.plot(distance, of(voltages), linestyle="none", label=which, rasterized=large, **size)
@@ -107,4 +139,13 @@ def _draw(
     axis.grid(alpha=0.3)
     figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize="small")
     measured = "the smallest sum of the branches' |r + jx|"
-    return Drawing(name, title, f"Every bus against its distance from the substation, {measured}.", figure)
+    what = "bus" if network.table.nodes.is_balanced else "phase of every bus"
+    return Drawing(name, title, f"Every {what} against its distance from the substation, {measured}.", figure)
+
+
+def _find_conductors(network: Network) -> tuple[np.ndarray, np.ndarray]:
+    """The nodes at the from and at the to end of each phase of each branch in service that has it at both."""
+    table, ports, n = network.table, network.table.ports, len(network.table.active)
+    at_from = np.flatnonzero(ports.item < n)
+    at_to = ports.find(ports.item[at_from] + n, ports.phase[at_from])
+    return table.port_node[at_from[at_to >= 0]], table.port_node[at_to[at_to >= 0]]

@@ -52,15 +52,15 @@ class Course:
 
     @cached_property
     def vm(self) -> np.ndarray:
-        """Voltage magnitudes, p.u., (n_scan, n_bus)."""
+        """Voltage magnitudes, p.u., (n_scan, n_nodes)."""
         return self.by_scan(self.tables.buses, "vm_pu")
 
     @cached_property
     def head(self) -> np.ndarray:
         """Powers that the substation injects, kW and kvar, (2, n_scan)."""
         assert self.network.slack is not None
-        row = self.network.row[self.network.slack.bus]
-        return np.array([self.by_scan(self.tables.buses, name)[:, row] for name in ("p_kw", "q_kvar")])
+        nodes = self.network.nodes_at(self.network.slack.bus)
+        return np.array([self.by_scan(self.tables.buses, name)[:, nodes].sum(axis=1) for name in ("p_kw", "q_kvar")])
 
     @cached_property
     def loss_kw(self) -> np.ndarray:
@@ -104,7 +104,7 @@ def _draw_voltages(course: Course) -> Drawing:
 
 
 def _describe_voltages(course: Course) -> str:
-    vm, limits, bus = course.vm, course.scenario.operating_limits, course.network.table.bus_id
+    vm, limits, bus = course.vm, course.scenario.operating_limits, course.network.node_names
     if np.isnan(vm).all():
         return "No scan has an estimate."
     words = []
@@ -121,6 +121,7 @@ def _describe_voltages(course: Course) -> str:
 def _draw_bands(course: Course) -> Drawing:
     figure, (axis,) = new_figure(4.2)
     distance, x_label = find_distances(course.network)
+    distance = distance[course.network.table.nodes.item]
     seen, limits = ~np.isnan(course.vm).all(axis=0), course.scenario.operating_limits
     known, distance = course.vm[:, seen], distance[seen]
     if seen.any():

@@ -16,7 +16,7 @@ from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.printable import all_printable, printable, shortened
 from dsse_core.results.results import Results
 from dsse_core.results.scans import ScanTables
-from dsse_core.results.table import Table
+from dsse_core.results.table import Table, name_by_phase
 from dsse_core.results.units import base_kw
 
 LONGEST_LIST = 40
@@ -44,7 +44,7 @@ def _join_cells(header: Sequence[str], columns: Sequence[np.ndarray]) -> str:
 def format_state(buses: Table, branches: Table) -> str:
     """Voltages and injections of all buses, and flows of the branches in service."""
     columns = [
-        _name_rows(buses.bus, buses.name),
+        _name_rows(buses.bus, buses.phase, buses.name),
         write_fixed(buses.vm_pu, 5),
         write_significant(buses.vm_kv, 4),
         write_fixed(buses.va_deg, 4),
@@ -69,7 +69,7 @@ def format_estimate(report: BadDataReport, tables: Results) -> str:
     with_truth = not np.isnan(buses.true_vm_pu).all()
     true = ("true",) if with_truth else ()
     columns = [
-        _name_rows(buses.bus, buses.name),
+        _name_rows(buses.bus, buses.phase, buses.name),
         write_fixed(buses.vm_pu, 5),
         write_fixed(buses.sigma_vm_pu, 5),
         *([write_fixed(buses.true_vm_pu, 5)] if with_truth else ()),
@@ -98,7 +98,7 @@ def _format_branches(branches: Table) -> str:
     }
     used = branches.in_service
     known = {header: column[used] for header, column in shown.items() if not np.isnan(column[used]).all()}
-    of_branches = _name_rows(branches.branch, branches.name)[:, used]
+    of_branches = _name_rows(branches.branch, branches.phase, branches.name)[:, used]
     return _join_cells(["branch", *known], [of_branches, *map(_powers, known.values())])
 
 
@@ -148,9 +148,9 @@ def _format_suspect(suspect: SuspectKept | None) -> str:
     return f": {suspect.meter} has the largest normalised residual, {suspect.normalized_residual:.3g}, but {reason}"
 
 
-def _name_rows(ids: Sequence[str] | np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """Labels of the rows of a table as cells: their ids, each with its name if it has one."""
-    called = list(map(str, ids.tolist())) if isinstance(ids, np.ndarray) else list(ids)
+def _name_rows(ids: Sequence[str] | np.ndarray, phases: Sequence[str], names: Sequence[str]) -> np.ndarray:
+    """Labels of the rows of a table as cells: their ids with the phase, each with its name if it has one."""
+    called = name_by_phase(list(map(str, ids.tolist())) if isinstance(ids, np.ndarray) else list(ids), phases)
     if any(names):
         short = (shortened(name, LONGEST_NAME_SHOWN) for name in names)
         called = [f"{of} {name}" if name else of for of, name in zip(called, short, strict=True)]

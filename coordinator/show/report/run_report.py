@@ -22,17 +22,19 @@ from coordinator.watch.observe.view_text import write_summary
 from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.printable import printable, shortened
 from dsse_core.results.meters import UNIT, read_in_own_units
-from dsse_core.results.table import Table
+from dsse_core.results.table import PHASE, Table
 
 LONGEST_NAME = 40
 WORDS_OF: dict[str, dict[str, str]] = {
     "kind": {str(kind): words.replace("\n", " ") for kind, words in WORDS.items()},
     "unit": {"pu": "p.u.", "deg": "degrees", "kw": "kW", "kvar": "kvar", "a": "A"},
+    "phase": {PHASE: ""},  # of a balanced network
 }
 Column = tuple[str, str, str]
 """Its heading in words, its name in the table, and the format of its numbers or the key in WORDS_OF of its texts."""
 OF_BUSES: tuple[Column, ...] = (
     ("bus", "bus", "d"),
+    ("phase", "phase", "phase"),
     ("name", "name", ""),
     ("area", "area", ""),
     ("voltage (p.u.)", "vm_pu", ".5f"),
@@ -48,6 +50,7 @@ OF_BUSES: tuple[Column, ...] = (
 )
 OF_BRANCHES: tuple[Column, ...] = (
     ("branch", "branch", ""),
+    ("phase", "phase", "phase"),
     ("name", "name", ""),
     ("from bus", "from_bus", "d"),
     ("to bus", "to_bus", "d"),

@@ -13,6 +13,7 @@ from coordinator.show.report.page import MAX_ROWS, Page, PageTable, write_page
 from coordinator.show.report.settings import find_origin
 from dsse_core.results.meters import REMOVED
 from dsse_core.results.scans import ScanTables
+from dsse_core.results.table import name_by_phase
 from scenarios.scenario import Scenario
 
 FOUND = ("voltages", "quality")  # figures whose captions stand among the findings
@@ -67,10 +68,11 @@ def _list_removed(course: Course) -> tuple[Sequence[str], Sequence[Sequence[str]
 
 def _list_tables(course: Course) -> Iterator[PageTable]:
     buses, branches, scans = course.tables.buses, course.tables.branches, course.tables.scans
-    ids = [str(bus) for bus in course.network.table.bus_id.tolist()]
-    yield _sum_up("Voltages of the buses (p.u.)", "bus", ids, course.by_scan(buses, "vm_pu"), ".5f", course)
-    used = course.network.table.in_service
-    names = [name for name, is_used in zip(course.network.branch_ids, used.tolist(), strict=True) if is_used]
+    nodes = course.network.node_names
+    yield _sum_up("Voltages of the buses (p.u.)", "bus", nodes, course.by_scan(buses, "vm_pu"), ".5f", course)
+    used = course.by_scan(branches, "in_service")[0]
+    of_one_scan = branches.branch[: len(used)], branches.phase[: len(used)]
+    names = [name for name, is_used in zip(name_by_phase(*of_one_scan), used.tolist(), strict=True) if is_used]
     current = np.fmax(course.by_scan(branches, "i_from_a"), course.by_scan(branches, "i_to_a"))[:, used]
     yield _sum_up("Currents of the branches (A)", "branch", names, current, ".2f", course)
     loading = course.by_scan(branches, "loading_percent")[:, used]

@@ -91,7 +91,8 @@ def draw_states(run: str, states: Mapping[str, StateMessage]) -> dict[str, Any]:
     row_of: dict[int, int] = {}
     areas, left = [], 0
     for name, state in states.items():
-        for k, bus in enumerate(state.buses):
+        own = tuple(dict.fromkeys(state.buses))  # with phases a bus is there once for each
+        for k, bus in enumerate(own):
             if bus in row_of:
                 buses["areas"][row_of[bus]].append(name)
                 continue
@@ -99,10 +100,10 @@ def draw_states(run: str, states: Mapping[str, StateMessage]) -> dict[str, Any]:
             place = left + k % BUSES_IN_A_ROW, k // BUSES_IN_A_ROW
             for key, value in zip(buses, (bus, PHASE, "", None, *place, None, name, [name]), strict=True):
                 buses[key].append(value)
-        left += min(BUSES_IN_A_ROW, len(state.buses)) + 2
+        left += min(BUSES_IN_A_ROW, len(own)) + 2
         shared = {other: sorted({*state.buses} & {*states[other].buses}) for other in state.sent if other in states}
         neighbours = [{"area": other, "bus": bus} for other, found in shared.items() for bus in found]
-        areas.append({"name": name, "buses": list(state.buses), "neighbours": neighbours})
+        areas.append({"name": name, "buses": list(own), "neighbours": neighbours})
     return {
         "known": False,
         "title": run,

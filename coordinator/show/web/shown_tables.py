@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from coordinator.watch.observe.grid_tables import Columns, Tables, order_worst_first, pick_rows
-from dsse_core.results.table import Table
+from dsse_core.results.table import PHASE
 
 MOST_METERS = 100  # the worst meters, sent with every moment
 MOST_ROWS = 1000  # of one request
@@ -26,10 +26,10 @@ def draw_tables(tables: Tables, *, has_grid: bool) -> dict[str, Any]:
     """The tables sent with a moment: columns in the order of the grid, or with the ``id`` of each bus without a grid;
     columns without any value are left out.
     """
-    buses, branches, meters = tables
+    (buses, branches), meters = merge_phases(tables), tables.meters
     worst = order_worst_first(meters, MOST_METERS)
     return {
-        "buses": _draw(buses, DRAWN_OF_BUS) | ({} if has_grid else {"id": buses.bus.tolist()}),
+        "buses": _draw(buses, DRAWN_OF_BUS) | ({} if has_grid else {"id": buses["bus"].tolist()}),
         "branches": {} if branches is None else _draw(branches, DRAWN_OF_BRANCH),
         "meters": _describe(pick_rows(meters, worst), METER),
         "meter_counts": Counter(meters["status"]),
@@ -59,9 +59,33 @@ def _find_columns(tables: Tables, kind: str) -> tuple[Columns, str, Mapping[str,
     return {} if table is None else {name: table[name] for name in table.columns}, key, decimals
 
 
-def _draw(table: Table, names: Mapping[str, int]) -> dict[str, Any]:
+def merge_phases(tables: Tables) -> tuple[Columns, Columns | None]:
+    """Columns of the buses and of the branches with one row for each, as a page draws them: of the phases of a bus the
+    one of the lowest voltage, of those of a branch the one of the largest loading, or current.
+    """
+    buses, branches = tables.buses, tables.branches
+    of_buses = {name: buses[name] for name in buses.columns}
+    of_branches = None if branches is None else {name: branches[name] for name in branches.columns}
+    if {*buses.phase} <= {PHASE}:
+        return of_buses, of_branches
+    of_buses = pick_rows(of_buses, _pick_one([buses.area, buses.bus], buses.vm_pu))
+    if of_branches is not None:
+        current = np.fmax(of_branches["i_from_a"], of_branches["i_to_a"])
+        loading = np.where(np.isnan(of_branches["loading_percent"]), current, of_branches["loading_percent"])
+        of_branches = pick_rows(of_branches, _pick_one([of_branches["branch"]], -loading))
+    return of_buses, of_branches
+
+
+def _pick_one(keys: Sequence[Sequence[Any]], values: np.ndarray) -> np.ndarray:
+    """The row of the smallest value in each group of neighbouring rows with the same ``keys``, (n_group,)."""
+    is_first = np.ones(len(values), dtype=bool)
+    is_first[1:] = np.any([np.array(key[1:]) != np.array(key[:-1]) for key in keys], axis=0)
+    return np.lexsort((values, np.cumsum(is_first)))[is_first]  # nan last
+
+
+def _draw(table: Columns, names: Mapping[str, int]) -> dict[str, Any]:
     known = {name: table[name] for name in names if not np.isnan(table[name]).all()}
-    return _round(known, names) | {"fresh": table.fresh.tolist()}
+    return _round(known, names) | {"fresh": table["fresh"].tolist()}
 
 
 def _describe(columns: Columns, decimals: Mapping[str, int]) -> dict[str, Any]:

@@ -576,7 +576,12 @@ class _Findings:
                 "limit": f"{limit:g}",
                 "more": _and_more(voltage.outside),
             }
-            yield self.make(kind, words, None, buses=tuple(int(found.at) for found in voltage.worst))
+            yield self.make(
+                kind,
+                words,
+                None,
+                buses=tuple(dict.fromkeys(int(found.at.partition(".")[0]) for found in voltage.worst)),
+            )
 
     def find_rest(self) -> Iterator[Cause]:
         """The worst state that is not good, where no cause is known; work under way comes to its end by itself."""

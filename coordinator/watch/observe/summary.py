@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from coordinator.watch.observe.grid_tables import OFF, REMOVED, SILENT, UNKNOWN, GridTables, Tables
 from coordinator.watch.observe.view import Extreme
 from dsse_core.estimation.state_limits import DEFAULT_OPERATING_LIMITS, OperatingLimits
-from dsse_core.results.table import Table
+from dsse_core.results.table import Table, name_by_phase
 
 MOST_WORST = 4  # violations of one limit that are named
 UNUSED = (REMOVED, SILENT, OFF, UNKNOWN)  # meters without an influence on the estimate
@@ -77,8 +77,8 @@ def summarise(tables: Tables, known: GridTables | None) -> Summary:
     return Summary(
         voltage,
         residual,
-        _find_extent(ids, branches.loading_percent, fresh, rated, high=limits.most_loading_percent),
-        _find_extent(ids, current, fresh, used),
+        _find_extent(ids.__getitem__, branches.loading_percent, fresh, rated, high=limits.most_loading_percent),
+        _find_extent(ids.__getitem__, current, fresh, used),
         head=_add_up(p, q, at_head),
         loss=_add_up(loss[0], loss[1], used),
         load=_add_up(np.maximum(-p, 0.0), np.maximum(-q, 0.0), elsewhere),
@@ -94,25 +94,32 @@ def _find_voltage(buses: Table, limits: OperatingLimits) -> Extent:
     order = np.argsort(~buses.fresh, kind="stable")
     at = order[np.unique(node[order], return_index=True)[1]]
     every, band = np.ones(len(at), dtype=bool), (limits.lowest_vm, limits.highest_vm)
-    return _find_extent(buses.bus[at], buses.vm_pu[at], buses.fresh[at], every, *band)
+
+    def name(k: int) -> str:
+        return name_by_phase([str(buses.bus[at[k]])], [buses.phase[at[k]]])[0]
+
+    return _find_extent(name, buses.vm_pu[at], buses.fresh[at], every, *band)
 
 
 def _find_residual(meters: dict[str, Any], limits: OperatingLimits) -> Extent:
     used = np.array([status not in UNUSED for status in meters["status"]], dtype=bool)
     return _find_extent(
-        meters["meter"], meters["normalised_residual"], meters["fresh"], used, high=limits.most_residual
+        meters["meter"].__getitem__, meters["normalised_residual"], meters["fresh"], used, high=limits.most_residual
     )
 
 
 def _find_extent(
-    ids: Sequence[object] | np.ndarray,
+    name: Callable[[int], str],
     values: np.ndarray,
     fresh: np.ndarray,
     counted: np.ndarray,
     low: float = -np.inf,
     high: float = np.inf,
 ) -> Extent:
-    """Extent of ``values`` (n,) of the rows that are ``counted``, of which those ``fresh`` and not nan are known."""
+    """Extent of ``values`` (n,) of the rows that are ``counted``, of which those ``fresh`` and not nan are known.
+
+    ``name``: of a row.
+    """
     rows = np.flatnonzero(counted & fresh & ~np.isnan(values))
     total = int(counted.sum())
     if not rows.size:
@@ -123,7 +130,7 @@ def _find_extent(
     worst = outside[np.argsort(-far[outside], kind="stable")][:MOST_WORST]
 
     def at(k: int) -> Extreme:
-        return Extreme(float(known[k]), str(ids[int(rows[k])]))
+        return Extreme(float(known[k]), name(int(rows[k])))
 
     ends = at(int(known.argmin())), at(int(known.argmax()))
     return Extent(len(rows), total, len(outside), tuple(at(k) for k in worst.tolist()), *ends)
