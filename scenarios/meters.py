@@ -4,28 +4,28 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from functools import cached_property
 
 import numpy as np
 
 from dsse_core.grid.columns import Records
-from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.grid.measurement import LONGEST_BUS, MeasurementKind, Meter, Source
 from dsse_core.grid.meter_table import KINDS, NO_BRANCH, SOURCES, find_virtual, make_meters, number_kinds
 from dsse_core.grid.network import Network
+from dsse_core.grid.nodes import list_phases
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
-from scenarios.files.scenario_file import (
-    AngleMeterTable,
-    BranchMeterTable,
-    BusMeterTable,
-    MeasurementsTable,
-    SigmaTable,
-)
+from scenarios.files.scenario_file import MeasurementsTable, SigmaTable
+from scenarios.injections import Injections
+from scenarios.meter_places import EACH, TOTAL, Place, Sites, Spots, join_spots
 
 KIND = MeasurementKind
 INJECTIONS = (KIND.P_INJECTION, KIND.Q_INJECTION)
-Place = TypeVar("Place", int, str)
+KINDS_AT_BUSES = {"voltage": (KIND.VM,), "angle": (KIND.VA,)}
+KINDS_ON_BRANCHES = {"flow": (KIND.P_FLOW, KIND.Q_FLOW), "current": (KIND.CURRENT,)}
+HAVE_TOTALS = ("flow", "injection")
+LARGEST = 10**LONGEST_BUS
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class SigmaRule:
         return sigma
 
 
-def build_sigma_rule(table: MeasurementsTable, base_mva: float) -> SigmaRule:
+def build_sigma_rule(table: MeasurementsTable, network: Network) -> SigmaRule:
     """The sigmas of a scenario file, in p.u. and rad."""
     by_kind: dict[MeasurementKind, SigmaTable | None] = {
         KIND.VM: table.voltage,
@@ -78,122 +78,222 @@ def build_sigma_rule(table: MeasurementsTable, base_mva: float) -> SigmaRule:
     absolute = {k: t.sigma_pu for k, t in by_kind.items() if t and t.sigma_pu is not None}
     if table.angle:
         absolute[KIND.VA] = math.radians(table.angle.sigma_deg)
-    return SigmaRule(relative, absolute, table.floor_kva / 1000 / base_mva)
+    return SigmaRule(relative, absolute, _floor_of(table, network))
+
+
+def _floor_of(table: MeasurementsTable, network: Network) -> float:
+    """``floor_kva`` in p.u., which with phases is a third of ``base_mva``."""
+    floor = table.floor_kva / 1000 / network.base_mva
+    return floor if network.table.nodes.is_balanced else 3 * floor
 
 
 def find_floor_problems(table: MeasurementsTable, network: Network) -> Iterable[str]:
     """A problem where ``floor_kva`` is no standard deviation that an estimator can compute with."""
-    floor = table.floor_kva / 1000 / network.base_mva
+    floor = _floor_of(table, network)
     if not SMALLEST_SIGMA <= floor <= LARGEST_SIGMA:
         yield (
-            f"measurements.floor_kva: {table.floor_kva:g} kVA is {floor:g} p.u. on base_mva {network.base_mva:g}; "
+            f"measurements.floor_kva: {table.floor_kva:g} kVA is {floor:g} p.u. on {_name_base(network)}; "
             f"it must lie between {SMALLEST_SIGMA:g} and {LARGEST_SIGMA:g} p.u.; correct it"
         )
+
+
+def _name_base(network: Network) -> str:
+    share = "" if network.table.nodes.is_balanced else "a third of "
+    return f"{share}base_mva {network.base_mva:g}"
 
 
 def build_meters(table: MeasurementsTable, network: Network) -> Records[Meter]:
     """The meters of a scenario file on ``network``; unknown places are left out (``find_place_problems`` reports them).
 
     A bus without load and source injects nothing: under ``zero_injection = "virtual"`` it has an exact constraint in
-    place of an ordinary injection meter.
+    place of an ordinary injection meter. With phases this holds for each node by itself.
     """
-    virtual = _rows_of(tuple(find_virtual_buses(table, network)), network.table.bus_id)
-    on_branches = (((KIND.P_FLOW, KIND.Q_FLOW), table.flow), ((KIND.CURRENT,), table.current))
-    groups = [_Group((kind,), _at(key, network)) for kind, key in ((KIND.VM, table.voltage), (KIND.VA, table.angle))]
-    groups += [_Group(kinds, _on(key, network), of_branch=True) for kinds, key in on_branches]
-    measured = _at(table.injection, network)
-    groups += [_Group(INJECTIONS, measured[~np.isin(measured, virtual)])]
-    groups += [_Group(INJECTIONS, virtual, source=Source.VIRTUAL)]
-    columns = zip(*(group.columns(network) for group in groups), strict=True)
-    return make_meters(network, *map(np.concatenate, columns))
+    return _Places(table, network).build()
+
+
+def find_place_problems(table: MeasurementsTable, network: Network) -> Iterable[str]:
+    """Every bus and branch of ``table`` that is unknown, out of service or listed twice, with its key; and every phase
+    that is not there.
+    """
+    return _Places(table, network).find_problems()
+
+
+def find_virtual_nodes(table: MeasurementsTable, network: Network) -> np.ndarray:
+    """The rows of the nodes that inject exactly nothing, for every estimator."""
+    return _Places(table, network).virtual
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Places of the meters of ``table`` in ``network``."""
+
+    table: MeasurementsTable
+    network: Network
+
+    @cached_property
+    def buses(self) -> Sites:
+        return Sites("bus", self.network.row, self.network.table.nodes)
+
+    @cached_property
+    def branches(self) -> Sites:
+        row_of = {branch: k for k, branch in enumerate(self.network.active_branch_ids)}
+        return Sites("branch", row_of, self.network.table.ports)
+
+    @cached_property
+    def injections(self) -> Injections:
+        return Injections(self.network)
+
+    @cached_property
+    def virtual(self) -> np.ndarray:
+        is_idle, listed = self.injections.is_idle, self.table.zero_injection
+        if listed == "virtual":
+            return np.flatnonzero(is_idle)
+        spots = self.buses.find(() if listed == "measured" else listed)
+        nodes = self.network.table.nodes.find(spots.row, spots.phases[0])
+        virtual: np.ndarray = nodes[(nodes >= 0) & is_idle[nodes]]
+        return virtual
+
+    def build(self) -> Records[Meter]:
+        groups = [_Group(kinds, self._at(key)) for key, kinds in KINDS_AT_BUSES.items()]
+        groups += [_Group(kinds, self._on(key), of_branch=True) for key, kinds in KINDS_ON_BRANCHES.items()]
+        groups += [_Group(INJECTIONS, self._find_injections())]
+        groups += [_Group(INJECTIONS, self.buses.spots_of(self.virtual), source=Source.VIRTUAL)]
+        columns = zip(*(group.columns(self.network) for group in groups), strict=True)
+        kind, bus, branch, source, phases = (np.concatenate(column, axis=-1) for column in columns)
+        return make_meters(self.network, kind, bus, branch, source, phases)
+
+    def _listed(self, key: str) -> Sequence[Place] | None:
+        """The places of a key; none where it is not given."""
+        part = getattr(self.table, key)
+        listed: Sequence[Place] | None = getattr(part, self._sites_of(key).key) if part else ()
+        return listed
+
+    def _sites_of(self, key: str) -> Sites:
+        return self.branches if key in KINDS_ON_BRANCHES else self.buses
+
+    def _at(self, key: str) -> Spots:
+        """The spots of a key with buses."""
+        return self.buses.find(self._listed(key))
+
+    def _on(self, key: str) -> Spots:
+        """The spots of a key with branches, by their rows among all branches."""
+        spots = self.branches.find(self._listed(key))
+        return Spots(self.network.table.active[spots.row], spots.phases)
+
+    def _find_injections(self) -> Spots:
+        """The spots of meters of injection, without those that are virtual."""
+        listed, nodes = self._listed("injection"), self.buses.rows
+        measured = nodes.of(self.buses.list_whole(listed))
+        measured = measured[~np.isin(measured, self.virtual)]
+        named = self.buses.find_named(listed)
+        is_measured = ~np.isin(nodes.find(named.row, named.phases[0]), self.virtual)
+        return join_spots([self.buses.spots_of(measured), named.keep(is_measured)])
+
+    def find_problems(self) -> Iterator[str]:
+        """Problems of all keys, as text."""
+        for key in ("voltage", "angle", "injection"):
+            yield from self._find_problems_of(key)
+        yield from self._find_zero_injection_problems()
+        for key in KINDS_ON_BRANCHES:
+            yield from self._find_problems_of(key)
+
+    def _find_problems_of(self, key: str) -> Iterator[str]:
+        sites, listed = self._sites_of(key), self._listed(key) or ()
+        path, most = f"measurements.{key}.{sites.key}", 1 if key in KINDS_ON_BRANCHES else 2
+        for place, count in sorted(Counter(listed).items(), key=_order):
+            problem = self._find_missing(sites, place)
+            problem = problem or sites.find_problem_of_phases(place, most, has_total=key in HAVE_TOTALS)
+            if key == "injection" and not problem:
+                problem = self._find_leg_problem(place)
+            if problem:
+                yield f"{path}: {problem}"
+            if count > 1:
+                yield f"{path}: {sites.word} {_quote(sites, place)} is listed twice; keep one"
+        yield from (f"{path}: {problem}" for problem in _find_overlaps(sites, listed))
+
+    def _find_missing(self, sites: Sites, place: Place) -> str:
+        """A problem where a bus or branch is unknown, or out of service; else empty."""
+        site, _ = sites.read(place)
+        if site in sites.row_of:
+            return ""
+        unknown = f"{sites.word} {_quote(sites, site)} is not in network {self.network.name!r}"
+        if sites.word == "bus":
+            return unknown
+        if site in self.network.branch_ids:
+            return f"branch {site!r} is out of service; remove it from the list"
+        return f"{unknown}; a branch is called FROM-TO unless the network file gives it an id"
+
+    def _find_leg_problem(self, place: Place) -> str:
+        """A problem where ``place`` is between two phases and no meter reads the power there; else empty."""
+        spot = self.buses.find_named([place])
+        if not (spot.phases[1] >= 0).any():
+            return ""
+        first, other = (int(self.network.table.nodes.find(spot.row, phase)[0]) for phase in spot.phases)
+        if self.injections.is_leg(first, other):
+            return ""
+        bus, (one, two) = self.buses.read(place)[0], list_phases(self.buses.read(place)[1])
+        if not self.injections.has_legs(first, other):
+            return f"{place!r}: no load of bus {bus} stands between {one} and {two}; name one phase"
+        turned = self.injections.is_leg(other, first)
+        cure = f"name the leg {f'{bus}.{two}{one}'!r}" if turned else "meter each phase"
+        return f"{place!r}: other loads of bus {bus} draw at {one}, and a meter reads the current there; {cure}"
+
+    def _find_zero_injection_problems(self) -> Iterator[str]:
+        given, path = self.table.zero_injection, "measurements.zero_injection"
+        listed = given if isinstance(given, tuple) else ()
+        for place, count in sorted(Counter(listed).items(), key=_order):
+            name = _quote(self.buses, place)
+            problem = self._find_missing(self.buses, place) or self.buses.find_problem_of_phases(
+                place, 1, has_total=False
+            )
+            if problem:
+                yield f"{path}: {problem}"
+            elif not self._is_idle(place):
+                yield f"{path}: bus {name} has a load or a source in the network file; remove it here"
+            if count > 1:
+                yield f"{path}: bus {name} is listed twice; keep one"
+        yield from (f"{path}: {problem}" for problem in _find_overlaps(self.buses, listed))
+
+    def _is_idle(self, place: Place) -> bool:
+        """True where a node of ``place`` has no load and no source."""
+        spots = self.buses.find([place])
+        return bool(self.injections.is_idle[self.network.table.nodes.find(spots.row, spots.phases[0])].any())
+
+
+def _order(counted: tuple[Place, int]) -> tuple[int, str]:
+    """Numbers in their order, before texts."""
+    place = counted[0]
+    return (place, "") if isinstance(place, int) else (LARGEST, place)
+
+
+def _quote(sites: Sites, place: Place) -> str:
+    return str(place) if sites.word == "bus" else repr(place)
+
+
+def _find_overlaps(sites: Sites, listed: Sequence[Place]) -> Iterator[str]:
+    """Places with phases beside the whole of their bus or branch."""
+    given = set(listed)
+    for place in dict.fromkeys(listed):
+        site, phases = sites.read(place)
+        if phases not in (EACH, TOTAL) and len(list_phases(phases)) == 1 and site in given:
+            yield f"{sites.word} {_quote(sites, site)} is listed, and {place!r} as well; keep one"
 
 
 @dataclass(frozen=True)
 class _Group:
-    """Meters of all ``kinds`` at each of ``rows``, (n,), of the network's buses or of its branches."""
+    """Meters of all ``kinds`` at each of ``spots``, of the network's buses or of its branches."""
 
     kinds: tuple[MeasurementKind, ...]
-    rows: np.ndarray
+    spots: Spots
     of_branch: bool = False
     source: Source = Source.TELEMETERED
 
     def columns(self, network: Network) -> tuple[np.ndarray, ...]:
         """The columns for ``make_meters``; flows are metered at the from side."""
         count, table = len(self.kinds), network.table
-        kind = np.tile([KINDS.index(kind) for kind in self.kinds], len(self.rows))
-        row = np.repeat(self.rows, count)
+        kind = np.tile([KINDS.index(kind) for kind in self.kinds], len(self.spots.row))
+        row = np.repeat(self.spots.row, count)
         bus = (table.from_bus if self.of_branch else table.bus_id)[row]
         branch = row if self.of_branch else np.full(len(row), NO_BRANCH)
-        return kind, bus, branch, np.full(len(row), SOURCES.index(self.source))
-
-
-def _at(key: BusMeterTable | AngleMeterTable | None, network: Network) -> np.ndarray:
-    """The rows of the buses of a key."""
-    return _rows_of(key.buses if key else (), network.table.bus_id)
-
-
-def _on(key: BranchMeterTable | None, network: Network) -> np.ndarray:
-    """The rows of the branches of a key among all, those in service."""
-    rows: np.ndarray = network.table.active[_rows_of(key.branches if key else (), network.active_branch_ids)]
-    return rows
-
-
-def _rows_of(listed: Sequence[Place] | None, places: np.ndarray | Sequence[Place]) -> np.ndarray:
-    """Positions in ``places`` of the listed places that exist, each once; all positions where ``listed`` is None."""
-    if listed is None:
-        return np.arange(len(places))
-    known = places.tolist() if isinstance(places, np.ndarray) else places
-    row = {place: k for k, place in enumerate(known)} if listed else {}
-    return np.array([row[place] for place in dict.fromkeys(listed) if place in row], dtype=np.intp)
-
-
-def find_place_problems(table: MeasurementsTable, network: Network) -> Iterable[str]:
-    """Every bus and branch of ``table`` that is unknown, out of service or listed twice, with its key."""
-    for key in ("voltage", "angle", "injection"):
-        buses: tuple[int, ...] | None = (part := getattr(table, key)) and part.buses
-        for bus, count in sorted(Counter(buses or ()).items()):
-            if bus not in network.row:
-                yield f"measurements.{key}.buses: bus {bus} is not in network {network.name!r}"
-            if count > 1:
-                yield f"measurements.{key}.buses: bus {bus} is listed twice; keep one"
-    yield from _find_zero_injection_problems(table, network)
-    in_service = dict(zip(network.branch_ids, network.table.in_service.tolist(), strict=True))
-    for key in ("flow", "current"):
-        branches: tuple[str, ...] | None = (part := getattr(table, key)) and part.branches
-        for branch, count in sorted(Counter(branches or ()).items()):
-            if branch not in in_service:
-                yield (
-                    f"measurements.{key}.branches: branch {branch!r} is not in network {network.name!r}; "
-                    "a branch is called FROM-TO unless the network file gives it an id"
-                )
-            elif not in_service[branch]:
-                yield f"measurements.{key}.branches: branch {branch!r} is out of service; remove it from the list"
-            if count > 1:
-                yield f"measurements.{key}.branches: branch {branch!r} is listed twice; keep one"
-
-
-def _find_zero_injection_problems(table: MeasurementsTable, network: Network) -> Iterable[str]:
-    listed = table.zero_injection if isinstance(table.zero_injection, tuple) else ()
-    empty = _find_zero_injections(network)
-    for bus, count in sorted(Counter(listed).items()):
-        if bus not in network.row:
-            yield f"measurements.zero_injection: bus {bus} is not in network {network.name!r}"
-        elif bus not in empty:
-            yield f"measurements.zero_injection: bus {bus} has a load or a source in the network file; remove it here"
-        if count > 1:
-            yield f"measurements.zero_injection: bus {bus} is listed twice; keep one"
-
-
-def find_virtual_buses(table: MeasurementsTable, network: Network) -> dict[int, None]:
-    """The buses that inject exactly nothing, for every estimator."""
-    empty = _find_zero_injections(network)
-    if table.zero_injection == "virtual":
-        return empty
-    return {} if table.zero_injection == "measured" else {b: None for b in table.zero_injection if b in empty}
-
-
-def _find_zero_injections(network: Network) -> dict[int, None]:
-    """Buses without load and source; a shunt is part of the network, not an injection."""
-    fed = {generator.bus for generator in network.generators}
-    unloaded: list[int] = network.table.bus_id[network.table.load == 0].tolist()
-    return {bus: None for bus in unloaded if bus not in fed}
+        source = np.full(len(row), SOURCES.index(self.source))
+        return kind, bus, branch, source, np.repeat(self.spots.phases, count, axis=1)

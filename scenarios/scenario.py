@@ -15,10 +15,10 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import OperatingLimits, StateLimits
 from dsse_core.files.strict_table import load_strict
 from dsse_core.files.wording import Suggestions, describe_unknown
-from dsse_core.grid.columns import Records, read_column, take_items
+from dsse_core.grid.columns import Records, take_items
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement, Meter, Source
-from dsse_core.grid.meter_table import KINDS, join_meters, number_kinds
+from dsse_core.grid.meter_table import KINDS, join_meters, tabulate_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area, Partition
 from dsse_core.printable import printable
@@ -52,7 +52,7 @@ from scenarios.meters import (
     build_sigma_rule,
     find_floor_problems,
     find_place_problems,
-    find_virtual_buses,
+    find_virtual_nodes,
 )
 from scenarios.reading_rules import build_reading_rules, find_gateway_problems
 
@@ -167,6 +167,7 @@ def load_scenario(
         raise InvalidInputError(file.called(path), problems)
     problems += find_place_problems(file.measurements, network)
     problems += find_floor_problems(file.measurements, network)
+    problems += _find_problem_of_source(file, network)
     partition, partition_problems = _build_whole(network) if whole else _build_partition_of(file, network, area_buses)
     problems += partition_problems
     readings, reading_problems = _load_readings_of(file, path, network)
@@ -190,6 +191,15 @@ def _find_problems_of_names_and_times(file: ScenarioFile, area_buses: AreaBuses 
     yield from find_order_problems(file.faults.events)
     for name in sorted({*RESERVED, *(f"gateway-{name}" for name in file.gateways)} & (area_buses or {}).keys()):
         yield f"areas.{name}: this name belongs to another process; choose another"
+
+
+def _find_problem_of_source(file: ScenarioFile, network: Network) -> Iterator[str]:
+    """A problem where areas with phases read their own power flows: their local slacks hold one voltage each."""
+    if file.telemetry.source == "area-power-flow" and not network.table.nodes.is_balanced:
+        yield (
+            f"telemetry.source: 'area-power-flow' does not suit network {network.name!r}: its buses have phases, and "
+            "an area knows the voltage of no single phase at its local slack; set source = 'network'"
+        )
 
 
 def _find_file(name_or_path: str | Path) -> Path:
@@ -262,18 +272,21 @@ def _load_readings_of(file: ScenarioFile, path: Path, network: Network) -> tuple
         readings = load_readings(path.parent / file.telemetry.file, network)
     except InvalidInputError as error:
         return (), [*problems, *(f"telemetry.file: {error.what}: {problem}" for problem in error.problems)]
-    virtual = find_virtual_buses(file.measurements, network)
-    problems += find_virtual_problems("telemetry.file", readings.columns["meter"], virtual)
+    virtual = find_virtual_nodes(file.measurements, network)
+    problems += find_virtual_problems("telemetry.file", network, readings.columns["meter"], virtual)
     return readings, problems
 
 
-def find_virtual_problems(key: str, meters: Sequence[Meter], virtual: Collection[int]) -> Iterator[str]:
-    """Every injection meter with a reading, of the file that ``key`` gives, at a bus that injects exactly nothing."""
-    injections = [k for k, kind in enumerate(KINDS) if kind.of_injection]
-    wrong = np.isin(number_kinds(meters), injections) & np.isin(read_column(meters, "bus", np.int64), list(virtual))
+def find_virtual_problems(key: str, network: Network, meters: Sequence[Meter], virtual: np.ndarray) -> Iterator[str]:
+    """Every injection meter with a reading, of the file that ``key`` gives, at a node that injects exactly nothing.
+
+    ``virtual``: the rows of these nodes.
+    """
+    injections, table = [k for k, kind in enumerate(KINDS) if kind.of_injection], tabulate_meters(network, meters)
+    wrong = np.isin(table.kind, injections) & np.isin(table.node, virtual) & (table.n_phases == 1)
     for meter in take_items(meters, np.flatnonzero(wrong)):
         yield (
-            f"{key}: {meter.id} has a reading, but measurements.zero_injection says that bus {meter.bus} injects "
+            f"{key}: {meter.id} has a reading, but measurements.zero_injection says that bus {meter.at} injects "
             "exactly nothing; remove the reading, or set zero_injection to 'measured' or to a list without this bus"
         )
 
@@ -328,7 +341,7 @@ def _build_scenario(
         network=partition.network,
         partition=partition,
         meters=meters,
-        sigma_rule=build_sigma_rule(file.measurements, base_mva),
+        sigma_rule=build_sigma_rule(file.measurements, partition.network),
         telemetry=TelemetrySettings(
             source=file.telemetry.source,
             noise=file.telemetry.noise,

@@ -173,7 +173,7 @@ def _read(
     """Plan of the meters of ``table``, their readings with noise, and their standard deviations."""
     meters = build_meters(table, network)
     exact, size = read_exactly(truth, meters)
-    sigmas = build_sigma_rule(table, network.base_mva).sigmas(meters, size)
+    sigmas = build_sigma_rule(table, network).sigmas(meters, size)
     noise = np.random.default_rng(zlib.crc32(network.name.encode())).standard_normal(len(meters))
     values = np.where(sigmas > 0, exact + noise * sigmas, 0.0)
     return build_estimation_plan(network, meters), values, sigmas

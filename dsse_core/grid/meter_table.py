@@ -79,6 +79,12 @@ class MeterTable:
         meter, phases = rows.item, np.array([rows.phase, self.phases[1][rows.item]])
         return MeterTable(self.network, self.kind[meter], self.bus[meter], self.branch[meter], phases), meter
 
+    @property
+    def n_phases(self) -> np.ndarray:
+        """The number of phases that each meter adds up, (n_meas,): 1, of a total those of its bus or branch end."""
+        _, of_meter = self.spread()
+        return np.ones(len(self.kind), dtype=np.intp) if of_meter is None else np.bincount(of_meter)
+
 
 def average(values: np.ndarray, of_meter: np.ndarray | None) -> np.ndarray:
     """The mean of the rows of each meter, (n_meas, ...), from ``values`` (n_row, ...); see ``MeterTable.spread``."""
@@ -266,8 +272,16 @@ def tabulate_meters(network: Network, meters: Sequence[Meter]) -> MeterTable:
 
 def _number_phases(meters: Sequence[Meter]) -> np.ndarray:
     """The places in PHASES of the one or two phases of each meter, (2, n_meas), UNKNOWN without."""
-    numbers = [[PHASES.index(phase) for phase in list_phases(meter.phases)] for meter in meters]
-    return np.array([[*found, UNKNOWN, UNKNOWN][:2] for found in numbers], dtype=np.int64).reshape(-1, 2).T
+    numbers = [read_pair(meter.phases) or (UNKNOWN, UNKNOWN) for meter in meters]
+    return np.array(numbers, dtype=np.int64).reshape(-1, 2).T
+
+
+def read_pair(text: str) -> tuple[int, int] | None:
+    """The places in PHASES of one phase or two, UNKNOWN without the other one; None where ``text`` is neither."""
+    numbers = [PHASES.index(phase) for phase in list_phases(text)]
+    if len(numbers) not in (1, 2):
+        return None
+    return numbers[0], numbers[1] if len(numbers) > 1 else UNKNOWN
 
 
 def read_meters_of(readings: Sequence[Measurement]) -> Sequence[Meter]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, Tag, field_validator, model_validator
@@ -36,12 +37,28 @@ SIGMA_PERCENT = "standard deviation in percent of the true value"
 SIGMA_PU = "standard deviation in p.u."
 
 
-def _parse_buses(value: object) -> tuple[int, ...] | None:
-    if isinstance(value, list) and value and all(type(item) is int for item in value):
+BusPlace = int | str
+"""A bus, such as 671, each of its phases; or some of them, such as "671.c"."""
+_BUS_WITH_PHASES = re.compile(r"\d{1,18}\.\w+")
+
+
+def _parse_buses(value: object) -> tuple[BusPlace, ...] | None:
+    if isinstance(value, list) and value and all(map(_is_bus, value)):
         return tuple(value)
     if value == "all":
         return None
-    raise ValueError(f'must be "all" or a list of bus numbers that is not empty, found {value!r}')
+    example = _example_of_phases(value)
+    raise ValueError(f'must be "all" or a list of bus numbers that is not empty{example}, found {value!r}')
+
+
+def _is_bus(item: object) -> bool:
+    return type(item) is int or (isinstance(item, str) and _BUS_WITH_PHASES.fullmatch(item) is not None)
+
+
+def _example_of_phases(value: object) -> str:
+    """A bus with phases as an example where ``value`` is a list with texts."""
+    has_texts = isinstance(value, list) and any(isinstance(item, str) for item in value)
+    return ', with phases such as "611.c"' if has_texts else ""
 
 
 def _parse_branches(value: object) -> tuple[str, ...] | None:
@@ -60,19 +77,20 @@ def _parse_areas(value: object) -> tuple[str, ...] | None:
     raise ValueError(f'must be "all" or a list of areas that is not empty, found {value!r}')
 
 
-BusSelection = Annotated[tuple[int, ...] | None, PlainValidator(_parse_buses)]
+BusSelection = Annotated[tuple[BusPlace, ...] | None, PlainValidator(_parse_buses)]
 """The listed buses; None means all."""
 
 
-def _parse_zero_injection(value: object) -> Literal["virtual", "measured"] | tuple[int, ...]:
-    if isinstance(value, list) and all(type(item) is int for item in value):
+def _parse_zero_injection(value: object) -> Literal["virtual", "measured"] | tuple[BusPlace, ...]:
+    if isinstance(value, list) and all(map(_is_bus, value)):
         return tuple(value)
     if value in ("virtual", "measured"):
         return "virtual" if value == "virtual" else "measured"
-    raise ValueError(f'must be "virtual", "measured" or a list of bus numbers, found {value!r}')
+    example = _example_of_phases(value)
+    raise ValueError(f'must be "virtual", "measured" or a list of bus numbers{example}, found {value!r}')
 
 
-ZeroInjection = Annotated[Literal["virtual", "measured"] | tuple[int, ...], PlainValidator(_parse_zero_injection)]
+ZeroInjection = Annotated[Literal["virtual", "measured"] | tuple[BusPlace, ...], PlainValidator(_parse_zero_injection)]
 """The buses that inject exactly nothing: all without load and source, none, or those listed."""
 AreaSelection = Annotated[tuple[str, ...] | None, PlainValidator(_parse_areas)]
 """The listed areas; None means all."""
@@ -189,14 +207,18 @@ class BusMeterTable(SigmaTable):
     """``measurements.voltage`` and ``measurements.injection``."""
 
     buses: BusSelection = Field(description='where the meters stand: "all" or a list of bus numbers')
-    """Buses of the meters."""
+    """Buses of the meters. With phases `671` is each of the bus, `"671.c"` one to ground, `"671.ab"` between two,
+    `"671.total"` the power of all.
+    """
 
 
 class BranchMeterTable(SigmaTable):
     """``measurements.flow`` and ``measurements.current``."""
 
     branches: BranchSelection = Field(description='where the meters stand: "all" or a list of branch ids')
-    """Branches of the meters: all in service, or ids such as `"3-4"`."""
+    """Branches of the meters: all in service, or ids such as `"3-4"`; with phases as for buses: `"3-4.b"`,
+    `"3-4.total"`.
+    """
 
 
 class AngleMeterTable(IntervalTable):
@@ -224,12 +246,12 @@ class MeasurementsTable(Table):
     floor_kva: Positive = Field(
         default=1.0, description="smallest standard deviation that a sigma_percent can mean, in kVA"
     )
-    """Smallest standard deviation of powers that a `sigma_percent` can mean, 1e-9 to 1e6 p.u.; for currents,
-    that power at 1 p.u. voltage.
+    """Smallest standard deviation of powers that a `sigma_percent` can mean, 1e-9 to 1e6 p.u., of each phase; for
+    currents, that power at 1 p.u. voltage.
     """
     zero_injection: ZeroInjection = "virtual"
-    """Buses without load and source. `"virtual"`: they inject exactly nothing, a constraint for every
-    estimator, and have no injection meter. `"measured"`: buses like any other. A list: those listed are
+    """Buses without load and source, with phases nodes. `"virtual"`: they inject exactly nothing, a constraint for
+    every estimator, and have no injection meter. `"measured"`: buses like any other. A list: those listed are
     virtual.
     """
     voltage: BusMeterTable | None = None

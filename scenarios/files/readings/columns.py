@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,11 +16,11 @@ import numpy as np
 
 from dsse_core.grid.columns import Records, find_distinct, rows_of_texts
 from dsse_core.grid.measurement import LONGEST_BUS, Measurement, MeasurementKind, Meter
-from dsse_core.grid.meter_table import KINDS, each_fits, make_meters, number_meters
+from dsse_core.grid.meter_table import KINDS, each_fits, make_meters, number_meters, read_pair
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
 from scenarios.files.readings.rows import ReadingRows
-from scenarios.files.readings.units import RANGES, UNITS, sizes_of
+from scenarios.files.readings.units import RANGES, UNITS, power_bases, sizes_of
 
 UNKNOWN = -1
 KIND = MeasurementKind
@@ -92,11 +93,28 @@ def read_meter_ids(raw: bytes, start: np.ndarray, end: np.ndarray, network: Netw
     if (at >= end).any():
         return None
     colon = np.minimum(_find_first(letters, ":", at), end)
-    kind, bus = _read_kinds(letters, start, at), _read_buses(letters, at + 1, colon)
+    point = np.minimum(_find_first(letters, ".", at), colon)
+    kind, bus = _read_kinds(letters, start, at), _read_buses(letters, at + 1, point)
     if (kind == UNKNOWN).any() or (bus == UNKNOWN).any():
         return None
+    phases = None
+    if (point < colon).any() and (phases := _read_phases(raw, point, colon, network)) is None:
+        return None
     branches = [raw[a:b] or None for a, b in zip((colon + 1).tolist(), end.tolist(), strict=True)]
-    return make_meters(network, kind, bus, rows_of_texts(map(str.encode, network.branch_ids), branches))
+    branch = rows_of_texts(map(str.encode, network.branch_ids), branches)
+    return make_meters(network, kind, bus, branch, phases=phases)
+
+
+def _read_phases(raw: bytes, start: np.ndarray, end: np.ndarray, network: Network) -> np.ndarray | None:
+    """The phases of meters whose texts, such as ".ab" or nothing, stand between ``start`` and ``end`` (n,) of ``raw``.
+
+    (2, n), as in ``MeterTable``. None where a text is none, and where the network has no phases.
+    """
+    texts = [raw[a:b] for a, b in zip(start.tolist(), end.tolist(), strict=True)]
+    numbers = {text: read_pair(text[1:].decode()) for text in set(texts)}
+    if network.table.nodes.is_balanced or b"." in numbers or None in numbers.values():
+        return None
+    return np.array([numbers[text] for text in texts], dtype=np.int64).T
 
 
 def _find_first(letters: np.ndarray, wanted: str, start: np.ndarray) -> np.ndarray:
@@ -180,7 +198,7 @@ def read_sound_columns(text: str, network: Network, *, takes_scans: bool = False
     except ValueError:
         return None
     sizes = _find_sizes(checked.units, unit, of_rows, network)
-    if sizes is None or not _are_possible(of_rows.columns["kind"], values * sizes, sigmas * sizes, network):
+    if sizes is None or not _are_possible(of_rows, values * sizes, sigmas * sizes, network):
         return None
     return SoundReadings(of_rows.take(first_rows), column, values * sizes, sigmas * sizes, scans)
 
@@ -224,18 +242,21 @@ def _find_sizes(units: Sequence[str], unit: np.ndarray, meters: Records[Meter], 
     kind = meters.columns["kind"]
     if not np.array([[one in UNITS[name] for one in KIND] for name in units])[unit, kind].all():
         return None
-    base_kv, sizes = network.table.base_kv[network.table.rows.find(meters.columns["bus"])], np.empty(len(unit))
+    sizes = np.empty(len(unit))
     for k, name in enumerate(units):
-        sizes[unit == k] = sizes_of(name, base_kv[unit == k], network.base_mva)
+        here = np.flatnonzero(unit == k)
+        sizes[here] = sizes_of(name, meters.take(here), network)
     return sizes
 
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers that are too large are not sound
-def _are_possible(kind: np.ndarray, values: np.ndarray, sigmas: np.ndarray, network: Network) -> bool:
-    """True where ``ReadingRows`` takes all values and sigmas, p.u. and rad, of meters of a ``kind``, (n,) each."""
+def _are_possible(meters: Records[Meter], values: np.ndarray, sigmas: np.ndarray, network: Network) -> bool:
+    """True where ``ReadingRows`` takes all values and sigmas, p.u. and rad, of ``meters``, (n,) each."""
     if not (np.isfinite(values).all() and (sigmas >= SMALLEST_SIGMA).all() and (sigmas <= LARGEST_SIGMA).all()):
         return False
-    sizes = np.array([network.base_mva if size is None else size for _, size in map(RANGES.__getitem__, KIND)])
+    kind = meters.columns["kind"]
+    sizes = np.array([math.nan if size is None else size for _, size in map(RANGES.__getitem__, KIND)])[kind]
+    sizes = np.where(np.isnan(sizes), power_bases(meters, network), sizes)
     least, most = np.array([(limits.least, limits.most) for limits, _ in map(RANGES.__getitem__, KIND)]).T
-    read = values * sizes[kind]
+    read = values * sizes
     return bool(((least[kind] <= read) & (read <= most[kind])).all())

@@ -17,7 +17,7 @@ from dsse_core.grid.measurement import (
 )
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
-from scenarios.files.readings.units import RANGES, UNITS, unit_size
+from scenarios.files.readings.units import RANGES, UNITS, power_bases, unit_size
 
 KIND = MeasurementKind
 SCAN = "scan"
@@ -118,7 +118,7 @@ class ReadingRows:
             )
         elif not problems:
             value, sigma = (n * unit_size(filled[0], meter, self.network) for n in numbers if n is not None)
-            problems += _find_value_problems(meter, value, sigma, self.network.base_mva)
+            problems += _find_value_problems(meter, value, sigma, self.network)
             self.readings.append(Measurement(meter, value, sigma))
             self.scans.append(scan)
         yield from problems
@@ -136,7 +136,7 @@ def parse_meter(text: str, meant: Suggestions | None = None) -> Meter | str:
     )
 
 
-def _find_value_problems(meter: Meter, value: float, sigma: float, base_mva: float) -> Iterable[str]:
+def _find_value_problems(meter: Meter, value: float, sigma: float, network: Network) -> Iterable[str]:
     if not SMALLEST_SIGMA <= sigma <= LARGEST_SIGMA:
         yield (
             f"meter {meter.id}: sigma is {sigma:.3g} in p.u. or rad; it must lie between {SMALLEST_SIGMA:g} and "
@@ -146,7 +146,8 @@ def _find_value_problems(meter: Meter, value: float, sigma: float, base_mva: flo
         yield f"meter {meter.id}: the value is negative; a magnitude is not"
         return
     limits, size = RANGES[meter.kind]
-    yield from limits.find_problem(f"meter {meter.id}: the value", value * (base_mva if size is None else size))
+    base = float(power_bases([meter], network)[0]) if size is None else size
+    yield from limits.find_problem(f"meter {meter.id}: the value", value * base)
 
 
 def _number(cell: str) -> float | None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from dsse_core.grid.columns import read_column
 from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.meter_table import tabulate_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.physical_ranges import ANGLE, POWER, REACTIVE_POWER, VOLTAGE, Range
 
@@ -23,7 +25,8 @@ UNITS: Mapping[str, frozenset[MeasurementKind]] = {
     "kvar": frozenset({KIND.Q_INJECTION, KIND.Q_FLOW}),
     "a": frozenset({KIND.CURRENT}),
 }
-"""Unit -> the kinds of meter that may be given in it. Voltages in V and kV are line to line."""
+"""Unit -> the kinds of meter that may be given in it. Voltages in V and kV are line to line; of a phase to
+ground."""
 WRITTEN_IN = {KIND.VM: "pu", KIND.VA: "deg", KIND.CURRENT: "a"} | {
     kind: "mw" if kind in UNITS["mw"] else "mvar" for kind in UNITS["mw"] | UNITS["mvar"]
 }
@@ -31,26 +34,36 @@ WRITTEN_IN = {KIND.VM: "pu", KIND.VA: "deg", KIND.CURRENT: "a"} | {
 
 def unit_size(unit: str, meter: Meter, network: Network) -> float:
     """Size of one ``unit`` in p.u. or rad; ampere, V and kV on the base voltage of the meter's bus."""
-    return float(sizes_of(unit, np.array(network.bus(meter.bus).base_kv), network.base_mva))
+    return float(sizes_of(unit, [meter], network)[0])
 
 
-def sizes_of(unit: str, base_kv: np.ndarray, base_mva: float) -> np.ndarray | float:
-    """``unit_size`` of meters at buses with ``base_kv`` (n,)."""
+def sizes_of(unit: str, meters: Sequence[Meter], network: Network) -> np.ndarray:
+    """``unit_size`` of each of ``meters``, which fit the network, (n,)."""
+    table = network.table
+    base_kv: np.ndarray = table.base_kv[table.rows.find(read_column(meters, "bus", np.int64))]
+    to_ground = base_kv if table.nodes.is_balanced else base_kv / math.sqrt(3)
+    sizes = np.ones(len(meters))
     match unit:
         case "mw" | "mvar":
-            return 1 / base_mva
+            sizes = 1 / power_bases(meters, network)
         case "kw" | "kvar":
-            return 1 / (1000 * base_mva)
+            sizes = 1 / (1000 * power_bases(meters, network))
         case "deg":
-            return math.radians(1)
+            sizes *= math.radians(1)
         case "kv":
-            return 1 / base_kv
+            sizes = 1 / to_ground
         case "v":
-            return 1 / (1000 * base_kv)
+            sizes = 1 / (1000 * to_ground)
         case "a":
-            return math.sqrt(3) * base_kv / base_mva / 1000
-        case _:
-            return 1.0
+            sizes = math.sqrt(3) * base_kv / network.base_mva / 1000
+    return sizes
+
+
+def power_bases(meters: Sequence[Meter], network: Network) -> np.ndarray:
+    """Size of 1 p.u. of power of each of ``meters``, MVA, (n,): with phases a third, of a total one for each phase."""
+    if network.table.nodes.is_balanced:
+        return np.full(len(meters), network.base_mva)
+    return network.base_mva / 3 * tabulate_meters(network, meters).n_phases
 
 
 RANGES: Mapping[MeasurementKind, tuple[Range, float | None]] = {
@@ -62,4 +75,4 @@ RANGES: Mapping[MeasurementKind, tuple[Range, float | None]] = {
     KIND.Q_INJECTION: (REACTIVE_POWER, None),
     KIND.Q_FLOW: (REACTIVE_POWER, None),
 }
-"""Kind -> limits of its readings in a unit, and the size of one p.u. or rad in that unit; None: as ``base_mva``."""
+"""Kind -> limits of its readings in a unit, and the size of one p.u. or rad in that unit; None: a power base in MVA."""

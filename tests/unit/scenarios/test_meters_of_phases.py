@@ -1,0 +1,200 @@
+"""Scenarios of networks with phases: places of meters, zero injections by node, sigmas, readings and their units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.estimation.estimator import estimate_state
+from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.grid.meter_table import list_ids
+from dsse_core.grid.network import Network
+from scenarios.check import check_scenario
+from scenarios.files.network_file import load_case
+from scenarios.files.readings.columns import read_sound_columns
+from scenarios.files.readings.file import load_readings, save_readings
+from scenarios.files.scenario_file import MeasurementsTable
+from scenarios.meters import build_meters, build_sigma_rule, find_place_problems
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import make_telemetry
+
+IEEE13 = load_case("ieee13")
+KIND = MeasurementKind
+
+
+def of_keys(keys: Mapping[str, object]) -> MeasurementsTable:
+    """Measurements with the places of each key, all of one sigma."""
+    tables: dict[str, object] = {}
+    for key, places in keys.items():
+        if key == "zero_injection":
+            tables[key] = places
+        else:
+            listed = "branches" if key in ("flow", "current") else "buses"
+            tables[key] = {listed: places, "sigma_deg" if key == "angle" else "sigma_percent": 1.0}
+    return MeasurementsTable.model_validate(tables)
+
+
+def ids_of(keys: Mapping[str, object], network: Network = IEEE13) -> list[str]:
+    return list_ids(build_meters(of_keys({"zero_injection": "measured"} | dict(keys)), network))
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ({"voltage": [645]}, ["vm@645.b", "vm@645.c"]),
+        ({"voltage": ["611.c", "671.ab"]}, ["vm@611.c", "vm@671.ab"]),
+        ({"angle": [684]}, ["va@684.a", "va@684.c"]),
+        ({"current": ["671-684"]}, ["current@671.a:671-684", "current@671.c:671-684"]),
+        ({"flow": ["671-684.c"]}, ["p_flow@671.c:671-684", "q_flow@671.c:671-684"]),
+        ({"flow": ["632-670.total"]}, ["p_flow@632:632-670", "q_flow@632:632-670"]),
+        ({"injection": ["646.bc"]}, ["p_injection@646.bc", "q_injection@646.bc"]),
+        ({"injection": [652, "634.total"]}, [f"{k}_injection@{at}" for at in ("652.a", "634") for k in "pq"]),
+    ],
+)
+def test_a_place_is_each_phase_of_a_bus_or_branch_or_those_that_it_names(
+    keys: Mapping[str, object], expected: list[str]
+) -> None:
+    assert ids_of(keys) == expected
+
+
+def test_all_places_are_all_nodes_and_all_phases_of_the_branches_in_service() -> None:
+    assert len(ids_of({"voltage": "all"})) == len(ids_of({"injection": "all"})) / 2 == IEEE13.n_nodes == 41
+    assert len(ids_of({"flow": "all"})) == 2 * len(ids_of({"current": "all"})) == len(IEEE13.table.ports)
+
+
+def test_nodes_without_load_and_source_inject_exactly_nothing_at_a_bus_where_another_phase_has_a_load() -> None:
+    meters = build_meters(of_keys({"injection": "all"}), IEEE13)
+    virtual = {m.at for m in meters if m.source is Source.VIRTUAL}
+    assert {"645.c", "632.a", "684.c", "680.b"} <= virtual
+    assert not {"645.b", "646.b", "646.c", "671.a", "1.a", "634.b"} & virtual
+    assert {m.at for m in meters if m.kind.of_injection} == {
+        f"{bus.id}.{phase}" for bus in IEEE13.buses for phase in bus.phases
+    }
+    listed = build_meters(of_keys({"zero_injection": [680, "645.c", "684.c"]}), IEEE13)
+    assert [m.at for m in listed if m.kind is KIND.P_INJECTION] == ["680.a", "680.b", "680.c", "645.c", "684.c"]
+    assert len(ids_of({"injection": "all"})) == 2 * IEEE13.n_nodes  # measured
+
+
+def test_every_place_whose_phases_are_not_there_is_named_with_the_cure() -> None:
+    keys = {
+        "voltage": [99, "611.a", 671, "671.a", "671.total", "646.bcb"],
+        "flow": ["671-684.b", "632-670.ab", "632-999.a", "632-670.c"],
+        "current": ["632-670.total"],
+        "injection": ["671.ab", "646.cb", "675.ab"],
+        "zero_injection": ["645.b", "611.b", "680.ab"],
+    }
+    assert list(find_place_problems(of_keys(keys), IEEE13)) == [
+        "measurements.voltage.buses: bus 99 is not in network 'ieee13'",
+        "measurements.voltage.buses: '611.a': bus 611 has no phase a, only c",
+        "measurements.voltage.buses: '646.bcb': after the point name one phase, or two of b, c",
+        "measurements.voltage.buses: '671.total': after the point name one phase, or two of a, b, c",
+        "measurements.voltage.buses: bus 671 is listed, and '671.a' as well; keep one",
+        "measurements.injection.buses: '671.ab': other loads of bus 671 draw at a, and a meter reads the current "
+        "there; meter each phase",
+        "measurements.injection.buses: '675.ab': no load of bus 675 stands between a and b; name one phase",
+        "measurements.zero_injection: '611.b': bus 611 has no phase b, only c",
+        "measurements.zero_injection: bus 645.b has a load or a source in the network file; remove it here",
+        "measurements.zero_injection: '680.ab': after the point name one phase of a, b, c",
+        "measurements.flow.branches: '632-670.ab': after the point name one phase of a, b, c, or 'total'",
+        "measurements.flow.branches: branch '632-999.a' is not in network 'ieee13'; a branch is called FROM-TO unless "
+        "the network file gives it an id",
+        "measurements.flow.branches: '671-684.b': branch 671-684 has no phase b, only a, c",
+        "measurements.current.branches: '632-670.total': after the point name one phase of a, b, c",
+    ]
+
+
+def test_a_balanced_network_has_no_phases_to_name() -> None:
+    problems = list(find_place_problems(of_keys({"voltage": [1, "3.a"], "flow": ["3-4.total"]}), load_case("ieee33")))
+    assert problems == [
+        "measurements.voltage.buses: '3.a': bus 3 has no phases; leave out '.a'",
+        "measurements.flow.branches: '3-4.total': branch 3-4 has no phases; leave out '.total'",
+    ]
+
+
+def test_sigmas_in_percent_refer_to_the_apparent_power_of_the_phase_and_have_a_floor_in_each() -> None:
+    table = MeasurementsTable.model_validate(
+        {
+            "floor_kva": 2.0,
+            "flow": {"branches": "all", "sigma_percent": 2.0},
+            "voltage": {"buses": "all", "sigma_pu": 0.01},
+        }
+    )
+    meters = [Meter(KIND.VM, 671, phases="a"), Meter(KIND.P_FLOW, 632, "632-670", phases="b")]
+    sigmas = build_sigma_rule(table, IEEE13).sigmas([*meters, meters[1]], np.array([1.0, 0.5, 0.0]))
+    assert sigmas.tolist() == pytest.approx([0.01, 0.01, 2.0 / (5000 / 3)], rel=1e-12)
+
+
+READINGS = """meter,value_pu,sigma_pu,value_kv,sigma_kv,value_kw,sigma_kw,value_a,sigma_a
+vm@671.a,0.99,0.002,,,,,,
+vm@675.ab,,,4.16,0.02,,,,
+vm@611.c,,,2.4,0.01,,,,
+p_injection@634.b,,,,,-120,2,,
+p_injection@646.bc,,,,,-230,2,,
+p_flow@632:632-670,,,,,3500,5,,
+p_flow@632.a:632-670,,,,,1050,5,,
+current@632.a:632-670,,,,,,,500,1
+"""
+
+
+def test_readings_of_phases_are_to_ground_and_of_a_third_of_the_base_and_totals_of_all(tmp_path: Path) -> None:
+    path = tmp_path / "readings.csv"
+    path.write_text(READINGS)
+    readings = load_readings(path, IEEE13)
+    third = 5000 / 3
+    expected = [0.99, math.sqrt(3), 2.4 / (4.16 / math.sqrt(3)), -120 / third, -230 / third, 3500 / 5000, 1050 / third]
+    expected += [500 / (5000 / (math.sqrt(3) * 4.16))]
+    assert [m.value for m in readings] == pytest.approx(expected, rel=1e-12)
+    assert [m.meter.id for m in readings] == [line.split(",")[0] for line in READINGS.splitlines()[1:]]
+    sound = read_sound_columns(READINGS, IEEE13)
+    assert sound is not None
+    assert sound.readings == readings
+    save_readings(path, IEEE13, readings)
+    assert [m.value for m in load_readings(path, IEEE13)] == pytest.approx(expected, rel=1e-15)
+
+
+def test_readings_of_phases_that_are_not_there_are_refused_with_those_that_are(tmp_path: Path) -> None:
+    path = tmp_path / "readings.csv"
+    rows = ["vm@671", "vm@611.a", "p_flow@671.b:671-684", "vm@671.abc", "current@671:671-684", "vm@671.q", "vm@671.b"]
+    path.write_text("meter,value_pu,sigma_pu\n" + "".join(f"{row},1.0,0.1\n" for row in rows))
+    with pytest.raises(InvalidInputError) as caught:
+        load_readings(path, IEEE13)
+    assert [problem.partition(": ")[2] for problem in caught.value.problems] == [
+        "meter vm@671: name one phase, or two of bus 671, which has a, b, c",
+        "meter vm@611.a: phase a is not there, only c",
+        "meter p_flow@671.b:671-684: phase b is not there, only a, c",
+        "meter vm@671.abc: name one phase, or two of bus 671, which has a, b, c",
+        "meter current@671:671-684: name one phase of bus 671, which has a, b, c",
+        "'vm@671.q' is no meter id; one looks like vm@1, p_injection@4 or p_flow@3:3-4 (KIND@BUS or KIND@BUS:BRANCH, "
+        "kinds: vm, va, p_injection, q_injection, p_flow, q_flow, current)",
+    ]
+
+
+def test_the_shipped_feeder_is_observable_and_its_noise_is_what_its_sigmas_say() -> None:
+    scenario = load_scenario("ieee13")
+    check_scenario(scenario)
+    boundaries = {(a.name, n.area): a.boundaries[n.area].phases for a in scenario.partition.areas for n in a.neighbours}
+    assert boundaries == {
+        ("area1", "area2"): {632: "abc"},
+        ("area2", "area1"): {632: "abc"},
+        ("area2", "area3"): {671: "ac"},
+        ("area3", "area2"): {671: "ac"},
+    }
+    objectives = []
+    for scan in range(1, 11):
+        telemetry = make_telemetry(scenario, scan)
+        found = estimate_state(scenario.network, telemetry.union)
+        objectives.append(found.objective)
+        assert telemetry.truth is not None
+        assert abs(found.vm - telemetry.truth.vm).max() < 0.02
+    freedom = found.degrees_of_freedom
+    assert abs(np.mean(objectives) - freedom) < 4 * math.sqrt(2 * freedom / 10)
+
+
+def test_readings_of_each_areas_own_power_flow_are_refused_with_phases() -> None:
+    with pytest.raises(InvalidInputError, match=r"'area-power-flow' does not suit network 'ieee13'"):
+        load_scenario("ieee13", changes={"telemetry.source": "area-power-flow"})
