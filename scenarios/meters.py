@@ -200,7 +200,8 @@ class _Places:
     def _find_problems_of(self, key: str) -> Iterator[str]:
         sites, listed = self._sites_of(key), self._listed(key) or ()
         path, most = f"measurements.{key}.{sites.key}", 1 if key in KINDS_ON_BRANCHES else 2
-        for place, count in sorted(Counter(listed).items(), key=_order):
+        doubtful = [(place, n) for place, n in Counter(listed).items() if n > 1 or place not in sites.row_of]
+        for place, count in sorted(doubtful, key=_order):
             problem = self._find_missing(sites, place)
             problem = problem or sites.find_problem_of_phases(place, most, has_total=key in HAVE_TOTALS)
             if key == "injection" and not problem:
@@ -274,6 +275,8 @@ def _find_overlaps(sites: Sites, listed: Sequence[Place]) -> Iterator[str]:
     """Places with phases beside the whole of their bus or branch."""
     given = set(listed)
     for place in dict.fromkeys(listed):
+        if place in sites.row_of:
+            continue
         site, phases = sites.read(place)
         if phases not in (EACH, TOTAL) and len(list_phases(phases)) == 1 and site in given:
             yield f"{sites.word} {_quote(sites, site)} is listed, and {place!r} as well; keep one"
