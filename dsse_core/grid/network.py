@@ -29,6 +29,9 @@ ZERO_IMPEDANCE = 1e-6
 """A branch below this share of the median |r + jx| counts as without impedance. The power through it is a difference of
 nearly equal numbers, so that estimates lose digits: measured, they agree to 1e-8 p.u. down to this ratio and to 3.5e-6
 at 6e-8."""
+ZERO_LINE = 1e-4
+"""The share for lines with phases, such as switches and jumpers. Banks have ``ZERO_IMPEDANCE``, and need it: regulators
+have 1e-4 of the impedance of lines."""
 
 
 class Control(StrEnum):
@@ -286,13 +289,19 @@ class Network:
         return float(np.median(impedances)) if len(impedances) else 0.0
 
     def find_zero_impedances(self) -> tuple[Branch, ...]:
-        """Branches in service whose |r + jx| is below ``ZERO_IMPEDANCE`` times the median of the whole network.
+        """Branches in service whose |r + jx| is below their ``zero_share`` of the median of the whole network.
 
         Only of a whole network: an area's part of it has another median.
         """
-        active = self.table.active
-        short = abs(self.table.series[active]) < ZERO_IMPEDANCE * self.median_impedance
-        return tuple(self.branches[k] for k in active[short].tolist())
+        active, median = self.table.active, self.median_impedance
+        short = active[abs(self.table.series[active]) < max(ZERO_LINE, ZERO_IMPEDANCE) * median]
+        branches = [self.branches[k] for k in short.tolist()]
+        return tuple(b for b in branches if abs(complex(b.r, b.x)) < self.zero_share(b) * median)
+
+    @staticmethod
+    def zero_share(branch: Branch) -> float:
+        """The share of the median |r + jx| below which ``branch`` counts as without impedance."""
+        return ZERO_LINE if branch.primitive and branch.primitive.is_straight else ZERO_IMPEDANCE
 
     def find_supply_problems(self) -> list[str]:
         """Problems of supply, as text: no substation, or buses or phases that no path in service joins to it."""

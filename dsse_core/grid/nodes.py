@@ -16,6 +16,7 @@ PHASES = ("", "a", "b", "c", "s1", "s2")  # "": all three of a balanced network;
 PHASE = "[abc]|s[12]"
 PHASE_ANGLE = np.radians([0.0, 0.0, -120.0, 120.0, 0.0, 180.0])  # of each phase at a substation of angle 0
 BALANCED = 1  # set of phases, a bit for each: that of a balanced bus
+ROUNDING = 1e-9  # share of the largest admittance of a branch, below which a sum of some is 0
 _BIT = 1 << np.arange(len(PHASES))
 
 
@@ -108,6 +109,14 @@ class Primitive:
     to_phases: str
     y: np.ndarray
     charging: np.ndarray
+
+    @property
+    def is_straight(self) -> bool:
+        """True for a line, and for what is one in p.u.: equal voltages at both ends draw charging only."""
+        y, n = self.y - self.charging, len(self.y) // 2
+        if self.from_phases != self.to_phases or not n:
+            return False
+        return bool(abs(y[:, :n] + y[:, n:]).max() <= ROUNDING * abs(y).max())
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Primitive):

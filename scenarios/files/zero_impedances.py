@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.grid.network import ZERO_IMPEDANCE, Network
+from dsse_core.grid.network import Network
 from dsse_core.grid.physical_ranges import find_range_problems
 
 
@@ -17,10 +17,10 @@ def find_zero_impedance_problems(
     ``names``: branch id -> its name in the source of the network; ``cure``: what to do there.
     """
     for branch in network.find_zero_impedances():
-        name = (names or {}).get(branch.id)
+        name, share = (names or {}).get(branch.id), network.zero_share(branch)
         yield (
             f"branch {branch.id}{f' ({name})' if name else ''} has |r + jx| = {abs(complex(branch.r, branch.x)):.3g} "
-            f"p.u., the median branch {network.median_impedance:.3g} p.u.; with less than {ZERO_IMPEDANCE:g} of the "
+            f"p.u., the median branch {network.median_impedance:.3g} p.u.; with less than {share:g} of the "
             f"median no estimate is exact: {cure}"
         )
 
