@@ -69,16 +69,34 @@ def build_bank(at_from: Side, at_to: Side, y: complex) -> Primitive:
     Each unit's N has a row for each winding, 1 / turns at the conductor where it begins and -1 / turns where it ends.
     ``y``: the admittance of a unit, p.u.: for three units of a bank of S and z p.u. it is S / (power base) / z.
     """
-    sides = at_from, at_to
-    conductors = [(k, name) for k in (0, 1) for name in [*list_phases(sides[k].phases), NEUTRAL]]
-    N = np.zeros((len(at_from.legs), 2, len(conductors)))
-    for k, side in enumerate(sides):
+    return _build_windings(at_from.phases, at_to.phases, ((0, at_from), (1, at_to)), y * np.array([[1, -1], [-1, 1]]))
+
+
+def build_centre_tapped(at_from: Side, at_to: Side, z: complex) -> Primitive:
+    """One unit with two equal halves of a winding at its to side, from s1 to the ground and from there to s2.
+
+    ``z``, p.u.: the impedance with both halves in series. Interlaced halves of it have (Kersting, Distribution System
+    Modeling and Analysis, 11.1) R/2 + 0.8 jX at the from side and R + 0.4 jX in each half.
+    """
+    one, half = complex(z.real / 2, 0.8 * z.imag), complex(z.real, 0.4 * z.imag)
+    of_halves = np.array([[1, 1], [-1, 0], [0, -1]])  # currents of the windings for those of the halves
+    y = of_halves @ np.linalg.inv(np.array([[one + half, one], [one, one + half]])) @ of_halves.T
+    halves = (Side(at_to.phases, ("s1",), at_to.turns), Side(at_to.phases, ("s2",), (-at_to.turns[0],)))
+    return _build_windings(at_from.phases, at_to.phases, ((0, at_from), *((1, half) for half in halves)), y)
+
+
+def _build_windings(from_phases: str, to_phases: str, windings: Sequence[tuple[int, Side]], y: np.ndarray) -> Primitive:
+    """Equal units of windings, each at the from (0) or to side (1); ``y``: the admittance of a unit over these."""
+    phases = from_phases, to_phases
+    conductors = [(k, name) for k in (0, 1) for name in [*list_phases(phases[k]), NEUTRAL]]
+    N = np.zeros((len(windings[0][1].legs), len(windings), len(conductors)))
+    for winding, (k, side) in enumerate(windings):
         for unit, (leg, turns) in enumerate(zip(side.legs, side.turns, strict=True)):
             ends = [*list_phases(leg.removesuffix(NEUTRAL)), *([NEUTRAL] if leg.endswith(NEUTRAL) else [])]
             for sign, name in zip((1, -1), ends, strict=False):
-                N[unit, k, conductors.index((k, name))] = sign / turns
-    Y = y * np.einsum("uwi,wv,uvj->ij", N, np.array([[1.0, -1.0], [-1.0, 1.0]]), N)
+                N[unit, winding, conductors.index((k, name))] = sign / turns
+    Y = np.einsum("uwi,wv,uvj->ij", N, y, N)
     is_star = np.array([name == NEUTRAL for _, name in conductors])
     of_star, between = Y[np.ix_(is_star, is_star)], Y[np.ix_(~is_star, is_star)]
     reduced = Y[np.ix_(~is_star, ~is_star)] - between @ np.linalg.pinv(of_star) @ between.T
-    return Primitive(at_from.phases, at_to.phases, reduced, np.zeros_like(reduced))
+    return Primitive(from_phases, to_phases, reduced, np.zeros_like(reduced))

@@ -11,7 +11,16 @@ import numpy as np
 from dsse_core.grid.loads import Load
 from dsse_core.grid.nodes import Primitive, explain_phases, list_phases, read_phases
 from dsse_core.grid.physical_ranges import ADMITTANCE, BASE_VOLTAGE, EXPONENT, IMPEDANCE, TAP, Range
-from dsse_core.grid.primitives import NEUTRAL, Connection, Side, build_bank, build_line, connect, find_size
+from dsse_core.grid.primitives import (
+    NEUTRAL,
+    Connection,
+    Side,
+    build_bank,
+    build_centre_tapped,
+    build_line,
+    connect,
+    find_size,
+)
 from scenarios.files.network_columns import share_of_power
 from scenarios.files.network_tables import (
     IMPEDANCES,
@@ -27,6 +36,7 @@ from scenarios.files.network_tables import (
 
 POSITIVE = -1e-9  # least eigenvalue of a resistance, of its largest entry: below it the line would produce power
 SINGULAR = 1e12  # condition of an impedance whose inverse has no digits
+HALVES = ("centre-tapped",)  # the winding of a unit with two halves, s1 and s2
 LAGGING = (1, 7)  # clocks of a wye and a delta whose low side lags by 30 degrees, and half a turn
 HALF_TURN = (5, 6, 7)  # clocks of windings whose ends are exchanged
 CLOCKS = {True: (1, 5, 7, 11), False: (0, 6)}  # by: one side is a delta and the other is not
@@ -207,8 +217,8 @@ def _read_bank(table: TransformerTable, place: _Place) -> Primitive:
         place.refuse("windings", f"{len(at_from.legs)} and {len(at_to.legs)} windings; each unit has one at both sides")
     if len(place.problems) > before:
         return _without_value(windings[0].phases, windings[1].phases)
-    of_unit = table.kva / 1000 / len(at_from.legs) / (place.base_mva / 3)
-    return build_bank(at_from, at_to, of_unit * 100 / complex(table.r_percent, table.x_percent))
+    z = complex(table.r_percent, table.x_percent) / 100 / (table.kva / 1000 / len(at_from.legs) / (place.base_mva / 3))
+    return build_centre_tapped(at_from, at_to, z) if at_to.legs == HALVES else build_bank(at_from, at_to, 1 / z)
 
 
 def _read_side(winding: WindingTable, table: TransformerTable, k: int, place: _Place) -> Side:
@@ -232,6 +242,10 @@ def _read_side(winding: WindingTable, table: TransformerTable, k: int, place: _P
         connection = "wye"
     elif is_delta:
         connection = "delta" if clock in CLOCKS[False] or is_low == (clock in LAGGING) else "delta reversed"
+    elif winding.connection == HALVES[0]:
+        legs = HALVES
+        if k == 0 or phases != "s1s2":
+            place.refuse(f"{key}.connection", f"{winding.connection!r} is of the second side, with phases s1s2")
     elif winding.connection != "grounded wye":
         legs = _read_windings(winding, key, place)
     if connection != "grounded" and len(list_phases(phases)) < 3:
@@ -246,7 +260,7 @@ def _read_side(winding: WindingTable, table: TransformerTable, k: int, place: _P
         return Side(phases, (), ())
     if legs is None:
         return connect(phases, connection, turns.tolist())
-    across = np.array([1.0 if len(list_phases(leg)) == 1 else math.sqrt(3) for leg in legs])
+    across = np.array([math.sqrt(3) if len(list_phases(leg)) == 2 else 1.0 for leg in legs])
     return Side(phases, legs, tuple((across * turns).tolist()))
 
 
@@ -262,8 +276,8 @@ def _read_windings(winding: WindingTable, key: str, place: _Place) -> tuple[str,
             or len({*ends}) < len(ends)
         ):
             problem = (
-                f"{leg!r} is no winding; give 'grounded wye', 'wye', 'delta', or where each winding stands, such as "
-                f"'ab,bc' or 'an,bn', by phases of {', '.join(known)}"
+                f"{leg!r} is no winding; give 'grounded wye', 'wye', 'delta', 'centre-tapped', or where each winding "
+                f"stands, such as 'ab,bc' or 'an,bn', by phases of {', '.join(known)}"
             )
             place.refuse(f"{key}.connection", problem)
     return tuple(legs)

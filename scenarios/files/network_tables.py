@@ -208,9 +208,9 @@ class WindingTable(Table):
     """Phases of the bus that the bank joins."""
     kv: Positive = Field(description="rated voltage between lines; of a winding to ground 3^0.5 times that across it")
     """Rated voltage between lines; of a winding to ground 3^0.5 times the voltage across it."""
-    connection: str = Field(description="'grounded wye', 'wye', 'delta', or the windings, such as 'ab,bc'")
+    connection: str = Field(description="'grounded wye', 'wye', 'delta', 'centre-tapped', or the windings, 'ab,bc'")
     """`"grounded wye"`, `"wye"` with a free star point, `"delta"`, or where each winding stands: `"ab,bc"` is an open
-    delta.
+    delta, `"an,bn,cn"` a wye. `"centre-tapped"` of a second side with phases `s1s2`: two interlaced halves.
     """
     taps: Taps = Field(default=1.0, description="turns by nominal ones, of all windings or of each")
     """Turns by nominal ones, a number or one for each winding: a regulator has `taps = [1.0625, 1.05, 1.06875]` at its

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dsse_core.grid.primitives import Connection, Side, build_bank, build_line, connect
+from dsse_core.grid.primitives import Connection, Side, build_bank, build_centre_tapped, build_line, connect
 
 ONE, DELTA = np.eye(3), np.array([[2, -1, -1], [-1, 2, -1], [-1, -1, 2]])
 TO_NEXT = np.array([[1, -1, 0], [0, 1, -1], [-1, 0, 1]])  # across the windings of a delta
@@ -45,6 +45,15 @@ def test_two_units_in_open_wye_and_open_delta_feed_three_phases() -> None:
     assert Y[2:].sum(axis=0) == pytest.approx(np.zeros(5), abs=1e-14)
     va, vb, vc = 0.3 + 0j, 0.3 - np.sqrt(3), 0.3 - np.sqrt(3) * (1 + np.exp(-2j * np.pi / 3))
     assert Y @ [1, np.exp(-2j * np.pi / 3), va, vb, vc] == pytest.approx(np.zeros(5), abs=1e-13)
+
+
+def test_a_centre_tapped_unit_is_that_of_opendss() -> None:
+    """OpenDSS (opendssdirect.py 0.9.4): 25 kVA, %rs 0.6, 1.2, 1.2, xhl and xht 2.04, xlt 1.36."""
+    at_to = Side("s1s2", ("s1",), (1.0,))
+    unit = build_centre_tapped(Side("b", ("b",), (1.0,)), at_to, (0.012 + 0.017j) / 0.25)  # on a base of 100 kVA
+    first = [6.92840647 - 9.81524249j, -3.46420323 + 4.90762125j, 3.46420323 - 4.90762125j]
+    second = [first[1], 9.61687874 - 6.92185099j, 6.15267551 - 2.01422975j]
+    assert unit.y == pytest.approx(np.array([first, second, [first[2], second[2], second[1]]]), abs=1e-8)
 
 
 def test_a_line_has_its_series_admittance_between_its_ends_and_half_its_charging_at_each() -> None:

@@ -10,7 +10,7 @@ import pytest
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.loads import Load
 from dsse_core.grid.network import Network
-from dsse_core.grid.primitives import build_bank, build_line, connect
+from dsse_core.grid.primitives import Side, build_bank, build_centre_tapped, build_line, connect
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.files.network_file import load_case, load_network
 from scenarios.files.saved_network import save_network
@@ -120,6 +120,34 @@ def test_windings_may_stand_anywhere(tmp_path: Path) -> None:
     assert (bank.from_phases, bank.to_phases) == ("ab", "abc")
     a, b = 1, np.exp(-2j * np.pi / 3)
     assert bank.y @ [a, b, 0, -(3**0.5) * a, -(3**0.5) * (a + b)] == pytest.approx(np.zeros(5), abs=1e-12)
+
+
+def test_centre_tapped_units_feed_two_halves(tmp_path: Path) -> None:
+    house = '{ id = 5, base_kv = 0.208, phases = "s1s2" }, ]'
+    unit = """[[transformer]]
+        kva = 25.0
+        r_percent = 1.2
+        x_percent = 1.7
+        windings = [
+            { bus = 2, phases = "b", kv = 12.0, connection = "b" },
+            { bus = 5, phases = "s1s2", kv = 0.208, connection = "centre-tapped" },
+        ]
+        [[transformer]]"""
+    text = changed(("]\nbranch", f"{house}\nbranch"), ("[[transformer]]", unit))
+    with_loads = text.replace("load = [", 'load = [ { bus = 5, phases = "s1,s2,s1s2", p_kw = [2.0, 1.0, 8.0] },')
+    bank = load(tmp_path, text).branch("2-5").primitive
+    assert bank is not None
+    assert bank.y == pytest.approx(
+        build_centre_tapped(Side("b", ("b",), (1.0,)), Side("s1s2", ("s1",), (1.0,)), (0.012 + 0.017j) * 80).y
+    )
+    network = load(tmp_path, with_loads)
+    found = solve_power_flow(network)
+    s1, s2, b = (network.node(*place) for place in ((5, "s1"), (5, "s2"), (2, "b")))
+    in_halves, whole = np.array([6.0, 5.0]) / 25, 11.0 / 25  # currents, of the unit's rated one
+    drop = whole * (0.006 + 0.0136j) + in_halves * (0.012 + 0.0068j)
+    assert found.vm[b] - found.vm[[s1, s2]] == pytest.approx(drop.real, abs=1e-4)
+    turn = np.exp(1j * (found.va[b] - found.va[[s1, s2]] + [0, np.pi]))
+    assert np.angle(turn) == pytest.approx(drop.imag, abs=1e-4)
 
 
 @pytest.mark.parametrize("suffix", ["toml", "json"])
