@@ -19,7 +19,7 @@ def make_protocol(content: Configuration, incarnation: Incarnation, *, now: floa
         InvalidInputError: the strategy is not installed, or cannot be used, or not between these areas.
     """
     cls = load_strategy(content.strategy)
-    if problems := cls.find_ring_problems(content.strategy, [content.area]):
+    if problems := cls.find_area_problems(content.strategy, [content.area]):
         raise InvalidInputError(f"area {content.area.name!r}", problems)
     if issubclass(cls, RoundsProtocol):
         return cls(content, incarnation, now=now, started_at=started_at)

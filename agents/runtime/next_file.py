@@ -115,7 +115,7 @@ class NextFile:
             for key, given, known in pairs
             if given != known
         ]
-        problems += load_strategy(found.strategy).find_ring_problems(found.strategy, [found.area])
+        problems += load_strategy(found.strategy).find_area_problems(found.strategy, [found.area])
         problems += _find_link_problems(own, found)
         if problems:
             raise InvalidInputError(f"area file {printable(str(self.path))}", problems)

@@ -30,6 +30,7 @@ class Admm(Strategy):
     """One area's state x and its boundaries' iterations."""
 
     message_types = (AdmmMessage,)
+    why_no_phases = ""
 
     def __init__(self, content: Configuration) -> None:
         self._content = content

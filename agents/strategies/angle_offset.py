@@ -53,6 +53,7 @@ class AngleOffset(Strategy):
     message_types = (BoundaryMessage,)
     estimates_alone = True
     reconciles_magnitudes = False
+    why_no_phases = "one offset turns all phases alike, and turning each by itself changes the flows of coupled lines"
 
     def __init__(self, content: Configuration) -> None:
         self._content = content

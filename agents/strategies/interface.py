@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -90,18 +90,24 @@ class AnyStrategy:
         estimates_alone: each area estimates from ``local_meters`` and the messages of its neighbours, and must be
             observable with these; else the areas must be observable together.
         takes_rings: two areas may meet at several buses (``Boundary``).
+        why_no_phases: the reason why buses may not have phases; empty where they may.
     """
 
     message_types: ClassVar[tuple[type[Any], ...]] = ()
     reconciles_magnitudes: ClassVar[bool] = True
     estimates_alone: ClassVar[bool] = False
     takes_rings: ClassVar[bool] = False
+    why_no_phases: ClassVar[str] = "it counts one voltage for each bus"
 
     @classmethod
-    def find_ring_problems(cls, strategy: str, areas: Iterable[Area]) -> list[str]:
-        """Pairs of areas that meet at several buses, where this class, named ``strategy``, does not take rings."""
+    def find_area_problems(cls, strategy: str, areas: Sequence[Area]) -> list[str]:
+        """Pairs of areas that meet at several buses, and phases, where this class, named ``strategy``, takes none."""
         met = {frozenset((a.name, n.area)): a.boundaries[n.area].buses for a in areas for n in a.neighbours}
-        return [
+        problems = []
+        if cls.why_no_phases and not all(area.network.table.nodes.is_balanced for area in areas):
+            problem = f"buses have phases, which strategy {strategy!r} cannot take: {cls.why_no_phases}"
+            problems.append(f"{problem}; use 'information' or 'admm'")
+        return problems + [
             f"areas {' and '.join(sorted(pair))} meet at buses {', '.join(map(str, buses))}: a ring, which "
             f"strategy {strategy!r} cannot take; use 'information', or cut where they meet at one bus"
             for pair, buses in met.items()

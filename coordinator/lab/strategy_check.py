@@ -24,6 +24,6 @@ def check_with_strategy(scenario: Scenario) -> Scenario:
 def plan_with_strategy(scenario: Scenario) -> EstimationPlan | None:
     """Check as ``check_with_strategy``; the plan of the whole grid where the check made it (``check_and_plan``)."""
     strategy = load_strategy(scenario.strategy)
-    if problems := strategy.find_ring_problems(scenario.strategy, scenario.partition.areas):
+    if problems := strategy.find_area_problems(scenario.strategy, scenario.partition.areas):
         raise InvalidInputError(f"scenario {scenario.name!r}", problems)
     return check_and_plan(scenario, strategy.local_meters if strategy.estimates_alone else None)

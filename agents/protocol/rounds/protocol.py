@@ -47,6 +47,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
     message_types = (UpMessage, DownMessage)
     takes_rings = True
+    why_no_phases = ""
 
     def __init__(self, content: Configuration, incarnation: Incarnation, *, now: float, started_at: float) -> None:
         super().__init__(content, self.kinds(), incarnation, now=now, started_at=started_at)

@@ -51,6 +51,13 @@ def test_every_shipped_scenario_loads_and_is_observable_as_a_whole_and_in_each_a
     assert scenario.path == find_shipped("shipped")[name]
 
 
+def test_a_strategy_that_turns_all_phases_alike_refuses_them() -> None:
+    expected = "buses have phases, which strategy 'angle-offset' cannot take: one offset turns all phases alike.*'admm'"
+    with pytest.raises(InvalidInputError, match=expected):
+        check_with_strategy(load_scenario("ieee13", changes={"strategy": "angle-offset"}))
+    check_with_strategy(load_scenario("ieee13", changes={"strategy": "admm"}))
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_every_shipped_file_is_commented(name: str) -> None:
     assert find_shipped("shipped")[name].read_text(encoding="utf-8").startswith("# ")
