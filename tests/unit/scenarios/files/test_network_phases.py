@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.loads import Load
 from dsse_core.grid.network import Network
 from dsse_core.grid.primitives import Side, build_bank, build_centre_tapped, build_line, connect
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.files.network_file import load_case, load_network
 from scenarios.files.saved_network import save_network
+from tests.support.ieee_feeders import load_feeder, load_voltages
 
 GOOD = """
 name = "three"
@@ -173,36 +175,18 @@ def test_a_network_with_phases_is_read_back_as_it_was_written(tmp_path: Path, su
     assert again.generators == network.generators
 
 
-# Voltages of OpenDSS (opendssdirect.py 0.9.4, tolerance 1e-11, ppm 0, loads at their models at any voltage) on
-# 13Bus/IEEE13Nodeckt.dss with taps 10, 8, 11: p.u. to ground and degrees, phase by phase. Its switch has 1e-7 ohm.
-OPENDSS = {
-    2: ([0.999974416, 0.999994479, 0.999950394], [29.9927138, -90.0095392, 149.9905917]),
-    650: ([0.999911493, 0.999972023, 0.999931676], [-0.0111586, -120.0106408, 119.9863192]),
-    60: ([1.062282851, 1.049885629, 1.068547918], [-0.0131177, -120.0127164, 119.9839802]),
-    633: ([1.017752083, 1.03999137, 1.014860332], [-2.5656265, -121.7819083, 117.8087195]),
-    634: ([0.993772264, 1.021634829, 0.996030177], [-3.2420336, -122.238126, 117.3291857]),
-    671: ([0.989375723, 1.053415378, 0.978921459], [-5.3079115, -122.3611248, 116.0746993]),
-    645: ([1.032714334, 1.015495646], [-121.9162434, 117.8399638]),
-    646: ([1.030976826, 1.0134354], [-121.9919077, 117.8852493]),
-    675: ([0.98291251, 1.055768147, 0.977080794], [-5.553842, -122.5375283, 116.0885722]),
-    611: ([0.974913172], [115.8274732]),
-    652: ([0.981856377], [-5.2561789]),
-    670: ([1.010507612, 1.044888872, 1.003301432], [-3.4155426, -121.9478285, 117.1651191]),
-    632: ([1.020781792, 1.041885984, 1.017472202], [-2.5010087, -121.7365305, 117.8127807]),
-    680: ([0.989375735, 1.053415393, 0.978921473], [-5.3079118, -122.3611249, 116.074699]),
-    684: ([0.987433013, 0.976910375], [-5.3308345, 115.9734006]),
-}
-
-
-def test_ieee13_has_the_voltages_of_opendss() -> None:
-    network = load_case("ieee13")
+def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
+    network, converted = load_case("ieee13"), load_feeder("ieee13")
+    names = [node.replace("1000.", "2.").replace("1001.", "1.") for node in converted.node_names]
+    of = [network.node_names.index(node) for node in names]
+    assert sorted(of) == list(range(network.n_nodes))
+    Y = build_admittance(network).ybus.toarray()[np.ix_(of, of)]
+    due = build_admittance(converted).ybus.toarray()
+    assert (abs(Y - due) < 1e-9 * abs(due).max(axis=1)).all()
     found = solve_power_flow(network, tolerance=1e-12)
-    v = found.vm * np.exp(1j * found.va)
-    for bus, (vm, va) in OPENDSS.items():
-        behind_switch = bus == 675
-        due = np.array(vm) * np.exp(1j * np.radians(va))
-        assert abs(v[network.nodes_at(bus)] - due).max() < (2e-8 if behind_switch else 1e-8), bus
-    assert {*OPENDSS} == {bus.id for bus in network.buses} - {1}
+    v = (found.vm * np.exp(1j * found.va))[of]
+    assert np.nanmax(abs(v - load_voltages("ieee13"))) < 1e-9
+    assert 1000 / 3 * network.base_mva * found.losses.real == pytest.approx(110.7, abs=0.1)
 
 
 @pytest.mark.parametrize(
