@@ -42,7 +42,7 @@ def build_admittance(network: Network, *, with_shunts: bool = True) -> Admittanc
     with phases stands at each of them.
     """
     table, n = network.table, network.n_nodes
-    y = _find_primitives(network, with_shunts)
+    y = find_primitives(network, with_shunts)
     shunt = (table.shunt * with_shunts)[table.nodes.item]
     entries, (row, column) = np.concatenate([y, shunt, y]), table.of_stacked
     if network.gauge.pinned or network.gauge.ungrounded:
@@ -51,7 +51,7 @@ def build_admittance(network: Network, *, with_shunts: bool = True) -> Admittanc
     return Admittance(sp.coo_array((entries, (row, column)), shape=(n + len(table.ports), n)).tocsr())
 
 
-def _find_primitives(network: Network, with_shunts: bool) -> np.ndarray:
+def find_primitives(network: Network, with_shunts: bool) -> np.ndarray:
     """The entries of Yp of the branches in service, (nnz,), in the order of ``NetworkTable.of_stacked``."""
     table = network.table
     if table.nodes.is_balanced:

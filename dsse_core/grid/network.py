@@ -195,6 +195,11 @@ class Network:
         """The names of the nodes, such as 671.a."""
         return list(map(name_node, self.node_buses, self.node_phases or repeat("")))
 
+    @cached_property
+    def nodes(self) -> tuple[tuple[int, str], ...]:
+        """Bus and phase of each node; the phase is "" in a balanced network."""
+        return tuple(zip(self.node_buses, self.node_phases or ("",) * self.n_nodes, strict=True))
+
     def nodes_at(self, bus: int) -> np.ndarray:
         """The rows of the nodes of a bus."""
         return self.table.nodes.at(self.row[bus])

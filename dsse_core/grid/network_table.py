@@ -51,10 +51,16 @@ class NetworkTable:
     @cached_property
     def ports(self) -> PhaseRows:
         """Ports: the phases of the from ends, then of the to ends, of the branches in service."""
+        return PhaseRows(self.branch_phases[:, self.active].ravel())
+
+    @cached_property
+    def branch_phases(self) -> np.ndarray:
+        """The sets of phases of the from and of the to ends of all branches, (2, n_all_branches)."""
         if self.nodes.is_balanced:
-            return PhaseRows(np.full(2 * len(self.active), BALANCED))
-        primitives = [self.primitives[k] for k in self.active.tolist()]
-        return PhaseRows(read_phases([*(p.from_phases for p in primitives), *(p.to_phases for p in primitives)]))
+            return np.full((2, len(self.in_service)), BALANCED)
+        primitives = [self.primitives[k] for k in range(len(self.in_service))]
+        texts = [*(p.from_phases for p in primitives), *(p.to_phases for p in primitives)]
+        return read_phases(texts).reshape(2, -1)
 
     @cached_property
     def port_node(self) -> np.ndarray:
@@ -68,17 +74,21 @@ class NetworkTable:
 
         Entries of branches stand matrix by matrix, of balanced ones those of all yff, yft, ytf, ytt.
         """
-        node, own, ends = self.port_node, np.arange(len(self.nodes)), len(self.active)
-        if self.nodes.is_balanced:
-            f, t = np.arange(2 * ends).reshape(2, -1)
-            row, column = np.concatenate([f, f, t, t]), np.concatenate([f, t, f, t])
-        else:
-            ports = [np.concatenate([self.ports.at(k), self.ports.at(ends + k)]) for k in range(ends)]
-            nothing = own[:0]
-            row = np.concatenate([nothing, *(np.repeat(of_branch, len(of_branch)) for of_branch in ports)])
-            column = np.concatenate([nothing, *(np.tile(of_branch, len(of_branch)) for of_branch in ports)])
+        node, own, (row, column) = self.port_node, np.arange(len(self.nodes)), self.of_ports
         at = node[column]
         return np.concatenate([node[row], own, len(own) + row]), np.concatenate([at, own, at])
+
+    @cached_property
+    def of_ports(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns, both ports, of the entries of the admittances of branches; order as in ``of_stacked``."""
+        ends = len(self.active)
+        if self.nodes.is_balanced:
+            f, t = np.arange(2 * ends).reshape(2, -1)
+            return np.concatenate([f, f, t, t]), np.concatenate([f, t, f, t])
+        nothing = np.zeros(0, dtype=np.int64)
+        ports = [np.concatenate([self.ports.at(k), self.ports.at(ends + k)]) for k in range(ends)]
+        row = np.concatenate([nothing, *(np.repeat(of_branch, len(of_branch)) for of_branch in ports)])
+        return row, np.concatenate([nothing, *(np.tile(of_branch, len(of_branch)) for of_branch in ports)])
 
     @cached_property
     def rows(self) -> Rows:

@@ -218,6 +218,17 @@ class Partition:
         }
 
     @cached_property
+    def rows_of_ports(self) -> dict[str, np.ndarray]:
+        """Area -> the rows in the whole network of the ports of its branches in service, in the area's order."""
+        table, found = self.network.table, {}
+        for area in self.areas:
+            own = area.network.table
+            at_from = table.active_row[self.rows_of_branches[area.name][own.active]]
+            ends = np.concatenate([at_from, len(table.active) + at_from])
+            found[area.name] = table.ports.find(ends[own.ports.item], own.ports.phase)
+        return found
+
+    @cached_property
     def owner(self) -> np.ndarray:
         """The place in ``areas`` of each bus's owner, shape (n_bus,); -1 for a bus in no area."""
         owner = np.full(len(self.network.table.bus_id), -1)

@@ -40,7 +40,7 @@ def make_area_table(
 ) -> Table:
     """One row per area; ``of_run``: the columns OF_A_RUN. Balance: ``generation + import = load + loss``.
 
-    A bus that injects counts as generation with its injection, the substation too; a bus that draws counts as load. P
+    A node that injects counts as generation with its injection, the substation too; one that draws counts as load. P
     and Q are sorted each by itself. ``loss``: of the area's branches with their charging, and of the shunts at its
     buses. ``import``: the power that comes from other areas over the boundary buses. A total is nan where a part of it
     is not known. ``sigmas`` (2, 4, n_area): standard deviations of P and Q of TOTALS, p.u.; nan without them.

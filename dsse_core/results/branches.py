@@ -1,4 +1,4 @@
-"""The table of branches: powers and currents at both ends, losses, loading."""
+"""The table of branches, a row a conductor: powers and currents at both ends, losses, loading."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 
 from dsse_core.grid.columns import read_given
 from dsse_core.grid.network import Network
-from dsse_core.results.columns import BranchColumns
+from dsse_core.results.columns import BranchColumns, list_columns
 from dsse_core.results.flows import BranchModel, Flows
-from dsse_core.results.table import IN_ONE_PLACE, NO_SCAN, PHASE, ScanLabel, Table, mark_rows
+from dsse_core.results.table import IN_ONE_PLACE, NO_SCAN, ScanLabel, Table, mark_rows, name_phases
 from dsse_core.results.units import base_a, base_kw
 
 QUANTITIES = (
@@ -35,16 +35,17 @@ def make_branch_table(
     label: ScanLabel = NO_SCAN,
     marks: Mapping[str, Any] | None = None,
 ) -> Table:
-    """One row per branch; branches out of service are included and carry nothing.
+    """One row per conductor of ``branches``; branches out of service are included and carry nothing.
 
     Powers and currents are positive into the branch at either end; a loss is the sum of the powers at both ends,
     charging included. ``loading_percent``: the larger current of the two ends by ``i_max``, or the larger apparent
-    power by ``s_max``; nan where neither is known. ``sigmas`` (8, n_branch): standard deviations of ``QUANTITIES``,
+    power by ``s_max``; nan where neither is known. ``sigmas`` (8, n_row): standard deviations of ``QUANTITIES``,
     p.u.; nan without them. ``label``: of the scan. ``marks``: the columns of ``mark_rows``.
     """
-    kw, a, count = base_kw(network), base_a(network), len(network.branches)
-    a_from, a_to = a[branches.f], a[branches.t]
+    kw, table, count = base_kw(network), network.table, len(branches.branch)
+    a_from, a_to = base_a(network)[table.end_rows[:, branches.branch]]
     powers = flows.s_from * kw, flows.s_to * kw, flows.loss * kw
+    names, of_branch = list(read_given(network.branches, "name")), branches.branch.tolist()
     values = [
         powers[0].real,
         powers[0].imag,
@@ -55,30 +56,40 @@ def make_branch_table(
         powers[2].real,
         powers[2].imag,
     ]
+    for end, at_end in ((branches.f, values[:3]), (branches.t, values[3:6])):
+        for column in at_end:
+            column[end < 0] = np.nan
     ones = np.ones(count)
     units = [kw * ones, kw * ones, a_from, kw * ones, kw * ones, a_to, kw * ones, kw * ones]
     deviations = np.full((len(QUANTITIES), count), np.nan) if sigmas is None else sigmas
     scan, time = label.columns(count)
     columns = BranchColumns(
-        branch=network.branch_ids,
-        name=list(read_given(network.branches, "name")) or [""] * count,
-        from_bus=network.table.from_bus,
-        to_bus=network.table.to_bus,
-        phase=[PHASE] * count,
+        branch=[network.branch_ids[k] for k in of_branch],
+        name=[names[k] for k in of_branch] if names else [""] * count,
+        from_bus=table.from_bus[branches.branch],
+        to_bus=table.to_bus[branches.branch],
+        phase=name_phases(branches.phase),
         in_service=branches.in_service,
         **dict(zip(QUANTITIES, values, strict=True)),
-        loading_percent=find_loading(network, flows),
+        loading_percent=find_loading(branches, flows),
+        neutral_a=None if table.nodes.is_balanced else abs(sum_over_phases(branches, flows.i_from)) * a_from,
         **{f"sigma_{q}": s * u for q, s, u in zip(QUANTITIES, deviations, units, strict=True)},
         scan=scan,
         time=time,
         **(marks or mark_rows([IN_ONE_PLACE], np.zeros(count, dtype=np.int64))),
     )
-    return Table("branches", vars(columns))
+    return Table("branches", list_columns(columns))
 
 
-def find_loading(network: Network, flows: Flows) -> np.ndarray:
-    """Current or apparent power by its rating, percent, (n_branch,); nan where no rating is known."""
-    i_max, s_max = (_read_ratings(network, key) for key in ("i_max", "s_max"))
+def sum_over_phases(branches: BranchModel, values: np.ndarray) -> np.ndarray:
+    """The sum of the complex ``values`` of all conductors of each one's branch, (n_row,)."""
+    of_branch = np.bincount(branches.branch, values.real) + 1j * np.bincount(branches.branch, values.imag)
+    return np.asarray(of_branch[branches.branch])
+
+
+def find_loading(branches: BranchModel, flows: Flows) -> np.ndarray:
+    """Current or apparent power by its rating, percent, (n_row,); nan where no rating is known."""
+    i_max, s_max = (_read_ratings(branches.network, key)[branches.branch] for key in ("i_max", "s_max"))
     current = np.maximum(abs(flows.i_from), abs(flows.i_to)) / i_max
     power = np.maximum(abs(flows.s_from), abs(flows.s_to)) / s_max
     return np.asarray(100.0 * np.fmax(current, power))

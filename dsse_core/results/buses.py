@@ -1,4 +1,4 @@
-"""The table of buses: voltages in p.u. and kV, angles in degrees, injections in kW and kvar."""
+"""The table of buses, a row a node: voltages in p.u. and kV, angles in degrees, injections in kW and kvar."""
 
 from __future__ import annotations
 
@@ -8,13 +8,17 @@ from typing import Any
 import numpy as np
 
 from dsse_core.grid.columns import read_given
-from dsse_core.results.columns import BusColumns
+from dsse_core.grid.network import Network
+from dsse_core.grid.nodes import PHASES
+from dsse_core.results.columns import BusColumns, list_columns
 from dsse_core.results.state import GridState
-from dsse_core.results.table import IN_ONE_PLACE, NO_SCAN, PHASE, ScanLabel, Table, mark_rows
+from dsse_core.results.table import IN_ONE_PLACE, NO_SCAN, ScanLabel, Table, mark_rows, name_phases
 from dsse_core.results.units import base_kv, base_kw, wrap_degrees
 
 COMPARED = ("true", "centralised", "decentralised")
 """The voltages that stand beside each other, where they are known."""
+A, B, C = (PHASES.index(phase) for phase in "abc")
+TURN = np.exp(2j * np.pi / 3)
 
 
 def make_bus_table(
@@ -27,14 +31,15 @@ def make_bus_table(
     label: ScanLabel = NO_SCAN,
     marks: Mapping[str, Any] | None = None,
 ) -> Table:
-    """One row per bus. ``vm_pu``, ``va_deg``, ``p_kw``, ``q_kvar`` come from ``state``; powers are positive into the
+    """One row per node. ``vm_pu``, ``va_deg``, ``p_kw``, ``q_kvar`` come from ``state``; powers are positive into the
     network.
 
-    ``areas`` (n_bus,): the area that owns each bus. ``compared``: those of COMPARED that are known, vm and va (n_bus,),
-    p.u. and rad. The standard deviations are in p.u. and rad, (n_bus,) and, of P and Q, (2, n_bus). ``label``: of the
-    scan. ``marks``: the columns of ``mark_rows``.
+    ``areas`` (n_nodes,): the area that owns each node. ``compared``: those of COMPARED that are known, vm and va
+    (n_nodes,), p.u. and rad. The standard deviations are in p.u. and rad, (n_nodes,) and, of P and Q, (2, n_nodes).
+    ``label``: of the scan. ``marks``: the columns of ``mark_rows``.
     """
     network, n = state.network, len(state.vm)
+    nodes, names = network.table.nodes, list(read_given(network.buses, "name"))
     kv, kw, unknown = base_kv(network), base_kw(network), np.full(n, np.nan)
     voltages: dict[str, Any] = {}
     for which in COMPARED:
@@ -42,18 +47,19 @@ def make_bus_table(
         voltages |= {f"{which}_vm_pu": vm, f"{which}_va_deg": wrap_degrees(va)}
     scan, time = label.columns(n)
     columns = BusColumns(
-        bus=network.table.bus_id,
+        bus=network.table.bus_id[nodes.item],
         area=areas,
         **voltages,
         sigma_vm_pu=sigma_vm,
         sigma_va_deg=np.degrees(sigma_va),
-        name=list(read_given(network.buses, "name")) or [""] * n,
-        phase=[PHASE] * n,
+        name=[names[k] for k in nodes.item.tolist()] if names else [""] * n,
+        phase=name_phases(nodes.phase),
         vm_pu=state.vm,
         va_deg=wrap_degrees(state.va),
         vm_kv=state.vm * kv,
         p_kw=state.injection.real * kw,
         q_kvar=state.injection.imag * kw,
+        unbalance_percent=None if nodes.is_balanced else find_unbalance(network, state.vm, state.va),
         sigma_vm_kv=sigma_vm * kv,
         sigma_p_kw=sigma_injection[0] * kw,
         sigma_q_kvar=sigma_injection[1] * kw,
@@ -61,4 +67,16 @@ def make_bus_table(
         time=time,
         **(marks or mark_rows([IN_ONE_PLACE], np.zeros(n, dtype=np.int64))),
     )
-    return Table("buses", vars(columns))
+    return Table("buses", list_columns(columns))
+
+
+def find_unbalance(network: Network, vm: np.ndarray, va: np.ndarray) -> np.ndarray:
+    """The negative by the positive sequence of the voltages of each node's bus, percent, (n_nodes,).
+
+    Nan at buses without all of a, b and c.
+    """
+    nodes, v = network.table.nodes, np.append(vm * np.exp(1j * va), np.nan)
+    bus = np.arange(len(nodes.sets))
+    a, b, c = (v[nodes.find(bus, phase)] for phase in (A, B, C))  # the last one stands for no node
+    unbalance = abs(a + TURN**2 * b + TURN * c) / abs(a + TURN * b + TURN**2 * c)
+    return np.asarray(100.0 * unbalance[nodes.item])

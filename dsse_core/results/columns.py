@@ -2,14 +2,14 @@
 
 Units are in the names. The string below a field explains it and those above it without one; ``docs/key_tables.py``
 writes these into ``docs/reference/run-folder.md``. A column of an instance has one value for each row: unknown numbers
-are nan, unknown times NaT, unknown texts "".
+are nan, unknown times NaT, unknown texts ""; a table of a balanced network lacks the columns that are None.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -20,9 +20,14 @@ Times: TypeAlias = np.ndarray
 Texts: TypeAlias = Sequence[str]
 
 
-@dataclass(frozen=True)
+def list_columns(columns: Any) -> dict[str, Any]:
+    """The columns of an instance that its table has."""
+    return {name: column for name, column in vars(columns).items() if column is not None}
+
+
+@dataclass(frozen=True, kw_only=True)
 class BusColumns:
-    """One row for each bus."""
+    """One row for each bus, or for each of its phases."""
 
     bus: Integers
     area: Texts
@@ -42,14 +47,17 @@ class BusColumns:
     slack"""
     name: Texts
     phase: Texts
-    """name in the network file, phases"""
+    """name in the network file, phase, `abc` in a balanced network"""
     vm_pu: Numbers
     va_deg: Numbers
     vm_kv: Numbers
-    """the estimated voltage, of areas that of the owner; of a power flow the true one"""
+    """the estimated voltage, of areas that of the owner; of a power flow the true one; kV of a phase to ground, of
+    `abc` between lines"""
     p_kw: Numbers
     q_kvar: Numbers
     """injection, generation minus load; the power of its shunt is a loss"""
+    unbalance_percent: Numbers | None = None
+    """negative by positive sequence of the bus' voltages, empty without a, b and c; only with phases"""
     sigma_vm_kv: Numbers
     sigma_p_kw: Numbers
     sigma_q_kvar: Numbers
@@ -64,16 +72,16 @@ class BusColumns:
     place"""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BranchColumns:
-    """One row for each branch."""
+    """One row for each branch, or for each of its phases."""
 
     branch: Texts
     name: Texts
     from_bus: Integers
     to_bus: Integers
     phase: Texts
-    """id, name in the network file, ends, phases"""
+    """id, name in the network file, ends, phase"""
     in_service: Truths
     """closed; an open branch carries 0"""
     p_from_kw: Numbers
@@ -86,9 +94,12 @@ class BranchColumns:
     """the same at its to end, in A of that side"""
     loss_kw: Numbers
     loss_kvar: Numbers
-    """sum of both ends, charging included"""
+    """sum of both ends, charging included; of one phase of coupled or transformed ones only the sum over the phases is
+    a loss"""
     loading_percent: Numbers
     """larger current of the two ends by `rating_a`, or apparent power by `rating_mva`; empty without a rating"""
+    neutral_a: Numbers | None = None
+    """magnitude of the sum of the currents of all phases at the from end; only with phases"""
     sigma_p_from_kw: Numbers
     sigma_q_from_kvar: Numbers
     sigma_i_from_a: Numbers

@@ -1,48 +1,87 @@
-"""Currents and powers at both ends of every branch, and injections of all buses, from voltages; p.u."""
+"""Currents and powers at both ends of every branch, and injections at all nodes, from voltages; p.u."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from dsse_core.grid.admittance import find_two_ports
+from dsse_core.grid.admittance import find_primitives, find_two_ports
 from dsse_core.grid.network import Network
+from dsse_core.grid.nodes import PhaseRows
 
 
 @dataclass(frozen=True)
 class BranchModel:
-    """All branches of a network as arrays, (n_branch,), in the order of ``network.branches``.
+    """The conductors of all branches of a network, (n_row,), branch by branch: one of a balanced branch, else one for
+    each phase that the branch has at either end.
 
-    ``f``, ``t``: rows of their buses. ``yff``, ``yft``, ``ytf``, ``ytt``: see ``find_two_ports``; 0 for branches
-    out of service. ``det``: ``yff ytt - yft ytf``, found without cancellation.
+    ``branch``: row of the branch. ``phase``: place in PHASES. ``f``, ``t``: nodes of the conductor's ends, -1 where it
+    has no such end. ``from_port``, ``to_port``: ports there, -1 also out of service.
     """
 
+    network: Network
+    branch: np.ndarray
+    phase: np.ndarray
     f: np.ndarray
     t: np.ndarray
+    from_port: np.ndarray
+    to_port: np.ndarray
+    in_service: np.ndarray
+
+    @cached_property
+    def y(self) -> np.ndarray:
+        """The entries of the admittances of branches in service, in the order of ``NetworkTable.of_ports``."""
+        return find_primitives(self.network, with_shunts=True)
+
+    def list_ports(self, flows: Flows) -> tuple[np.ndarray, np.ndarray]:
+        """Powers and currents into all ports, (n_port + 1,), complex, p.u.; the last one, 0, stands for no port."""
+        found = np.zeros((2, len(self.network.table.ports) + 1), dtype=complex)
+        found[:, self.from_port], found[:, self.to_port] = (flows.s_from, flows.i_from), (flows.s_to, flows.i_to)
+        found[:, -1] = 0.0
+        return found[0], found[1]
+
+    @cached_property
+    def two_ports(self) -> TwoPorts:
+        """The branches as two-ports, in a balanced network."""
+        table, there = self.network.table, self.in_service
+        yff, yft, ytf, ytt = (there * y for y in find_two_ports(table, np.arange(len(there))))
+        end = 0.5 * table.charging
+        return TwoPorts(yff, yft, ytf, ytt, there * end * (2 / table.series + end) / table.tap**2)
+
+
+@dataclass(frozen=True)
+class TwoPorts:
+    """``yff``, ``yft``, ``ytf``, ``ytt``: see ``find_two_ports``; (n_branch,), 0 for branches out of service. ``det``:
+    ``yff ytt - yft ytf``, found without cancellation.
+    """
+
     yff: np.ndarray
     yft: np.ndarray
     ytf: np.ndarray
     ytt: np.ndarray
     det: np.ndarray
-    in_service: np.ndarray
 
 
 def build_branch_model(network: Network) -> BranchModel:
     """The branches of ``network``, those out of service included."""
-    network.check_balanced("the table of its branches")
     table = network.table
-    (f, t), in_service = table.end_rows, table.in_service
-    yff, yft, ytf, ytt = (in_service * y for y in find_two_ports(table, np.arange(len(in_service))))
-    end = 0.5 * table.charging
-    det = in_service * end * (2 / table.series + end) / table.tap**2
-    return BranchModel(f, t, yff, yft, ytf, ytt, det, in_service)
+    rows = PhaseRows(np.bitwise_or(*table.branch_phases))
+    nodes, ports, active = [], [], table.active_row[rows.item]
+    for end in (0, 1):
+        is_there = table.branch_phases[end, rows.item] >> rows.phase & 1 != 0
+        nodes.append(np.where(is_there, table.nodes.find(table.end_rows[end, rows.item], rows.phase), -1))
+        of_end = np.where(active < 0, -1, end * len(table.active) + active)
+        ports.append(np.where(is_there, table.ports.find(of_end, rows.phase), -1))
+    (f, t), (from_port, to_port), in_service = nodes, ports, table.in_service[rows.item]
+    return BranchModel(network, rows.item, rows.phase, f, t, from_port, to_port, in_service)
 
 
 @dataclass(frozen=True)
 class Flows:
-    """Complex currents ``i_from``, ``i_to`` and powers ``s_from``, ``s_to`` into each branch at its two ends, p.u.,
-    (n_branch,); 0 where the branch is out of service, nan where a voltage at its ends is nan.
+    """Complex currents ``i_from``, ``i_to`` and powers ``s_from``, ``s_to`` into each conductor at its two ends, p.u.,
+    (n_row,); 0 out of service and where it has no such end, nan where a voltage of its branch is nan.
     """
 
     i_from: np.ndarray
@@ -52,32 +91,38 @@ class Flows:
 
     @property
     def loss(self) -> np.ndarray:
-        """The sum of the powers at both ends, complex, p.u., (n_branch,): series losses and charging."""
+        """The sum of the powers at both ends, complex, p.u., (n_row,): series losses and charging."""
         return np.asarray(self.s_from + self.s_to)
 
 
-def find_flows(branches: BranchModel, v_from: np.ndarray, v_to: np.ndarray) -> Flows:
-    """The flows at the complex voltages of the two ends of each branch, (n_branch,), p.u."""
-    there = branches.in_service
-    v_from, v_to = np.where(there, v_from, 0.0), np.where(there, v_to, 0.0)
-    i_from = branches.yff * v_from + branches.yft * v_to
-    i_to = branches.ytf * v_from + branches.ytt * v_to
-    return Flows(i_from, i_to, v_from * i_from.conj(), v_to * i_to.conj())
+def find_flows(branches: BranchModel, v: np.ndarray) -> Flows:
+    """The flows at the complex voltages ``v`` of all ports, (n_port,), p.u."""
+    row, column = branches.network.table.of_ports
+    i = _add_up(row, branches.y * v[column], len(v))
+    s = np.append(v * i.conj(), 0.0)  # the last one stands for no port
+    i = np.append(i, 0.0)
+    return Flows(i[branches.from_port], i[branches.to_port], s[branches.from_port], s[branches.to_port])
+
+
+def _add_up(at: np.ndarray, values: np.ndarray, n: int) -> np.ndarray:
+    """The sums of the complex ``values`` (k,) at the same places ``at`` (k,), (n,); what is at -1 does not count."""
+    there = at >= 0
+    at, values = at[there], values[there]
+    return np.asarray(np.bincount(at, values.real, n) + 1j * np.bincount(at, values.imag, n))
 
 
 def find_shunt_powers(network: Network, vm: np.ndarray) -> np.ndarray:
-    """The power that the shunt of each bus consumes, complex, (n_bus,), p.u.; ``vm`` (n_bus,)."""
-    shunt = network.table.shunt.conj()
+    """The power that shunts consume at each node, complex, (n_nodes,), p.u.; ``vm`` (n_nodes,)."""
+    shunt = network.table.shunt.conj()[network.table.nodes.item]
     return np.where(shunt == 0, 0.0, shunt * vm**2)
 
 
 def find_injections(network: Network, branches: BranchModel, flows: Flows, vm: np.ndarray) -> np.ndarray:
-    """Generation minus load of each bus, complex, (n_bus,), p.u.: the sum of powers into its branches and its shunt.
+    """Generation minus load at each node, complex, (n_nodes,), p.u.: the sum of powers into its branches and its shunt.
 
-    Nan where ``vm`` (n_bus,) is.
+    Nan where ``vm`` (n_nodes,) is.
     """
-    n = len(network.buses)
     s = find_shunt_powers(network, vm)
     for end, power in ((branches.f, flows.s_from), (branches.t, flows.s_to)):
-        s = s + np.bincount(end, power.real, n) + 1j * np.bincount(end, power.imag, n)
+        s = s + _add_up(end, power, len(vm))
     return np.where(np.isnan(vm), complex(np.nan, np.nan), s)

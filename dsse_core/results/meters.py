@@ -75,7 +75,7 @@ def make_meter_table(
         kind=texts["kind"],
         bus=np.array(texts["bus"], dtype=np.int64),
         branch=[branch or "" for branch in texts["branch"]],
-        phase=[PHASE] * len(meters),
+        phase=[phases or PHASE for phases in texts["phases"]],
         source=texts["source"],
         status=_find_status(row_of, np.isnan(values), removed, critical),
         **in_units,
@@ -117,7 +117,7 @@ def _find_status(
 
 
 def find_unit_sizes(network: Network, meters: Sequence[Meter]) -> np.ndarray:
-    """The size of 1 p.u. or 1 rad in the unit of each meter, (n_meas,)."""
+    """The size of 1 p.u. or 1 rad in the unit of each meter, (n_meas,); of a total the power base of all phases."""
     kw = base_kw(network)
     of_unit = {"pu": 1.0, "deg": 180 / np.pi, "kw": kw, "kvar": kw, "a": np.nan}
     kinds, row = number_kinds(meters), network.table.rows.find(read_column(meters, "bus", np.int64))

@@ -75,12 +75,12 @@ class WithTables(ABC):
 
     @property
     def buses(self) -> Table:
-        """One row per bus, in the order of the network."""
+        """One row per bus, or per phase of it, in the order of the network."""
         return self.tables.buses
 
     @property
     def branches(self) -> Table:
-        """One row per branch, in the order of the network."""
+        """One row per branch, or per phase of it, in the order of the network."""
         return self.tables.branches
 
     @property
@@ -146,10 +146,10 @@ def results_without_estimate(
     network: Network, partition: Partition | None, readings: MeterReadings, label: ScanLabel, quality: str
 ) -> Results:
     """The tables of a scan whose ``readings`` have no estimate: all that follows from one is nan."""
-    n, division = len(network.buses), find_division(network, partition)
-    state = find_state(network, *np.full((2, n), np.nan))
+    division = find_division(network, partition)
+    state = find_state(network, *np.full((2, network.n_nodes), np.nan))
     marks = [Freshness(quality, fresh=False)] * len(division.names)
-    return assemble_results(state, no_deviations(network, division), {}, readings, division, None, marks, label)
+    return assemble_results(state, no_deviations(state, division), {}, readings, division, None, marks, label)
 
 
 def results_of_power_flow(
@@ -163,7 +163,7 @@ def results_of_power_flow(
     state, nothing = find_state(result.network, result.vm, result.va), np.full(len(meters), np.nan)
     readings = MeterReadings(meters, nothing, nothing, nothing, {}, ())
     compared, division = {"true": (result.vm, result.va)}, find_division(result.network, partition)
-    return assemble_results(state, no_deviations(result.network, division), compared, readings, division)
+    return assemble_results(state, no_deviations(state, division), compared, readings, division)
 
 
 def assemble_results(
@@ -178,11 +178,12 @@ def assemble_results(
 ) -> Results:
     """All tables of ``state``; see the functions that make each."""
     of_areas = marks or [IN_ONE_PLACE] * len(division.names)
-    of_buses, of_branches = (mark_rows(of_areas, of) for of in (division.of_bus, division.of_branch))
+    bus, branch = state.network.table.nodes.item, state.branches.branch
+    of_buses, of_branches = mark_rows(of_areas, division.of_bus[bus]), mark_rows(of_areas, division.of_branch[branch])
     voltages = deviations.vm, deviations.va, deviations.injections
     flows = state.network, state.branches, state.flows, deviations.branches
     return Results(
-        buses=make_bus_table(state, division.owners(), compared, *voltages, label, of_buses),
+        buses=make_bus_table(state, division.owners(bus), compared, *voltages, label, of_buses),
         branches=make_branch_table(*flows, label, of_branches),
         make_meters=partial(_make_meters, state, readings, label),
         make_areas=partial(_make_areas, state, division, deviations, of_run, marks, label),
@@ -209,9 +210,9 @@ def find_division(network: Network, partition: Partition | None) -> Division:
     return division_of(partition) if partition else whole_network(network)
 
 
-def no_deviations(network: Network, division: Division) -> Deviations:
+def no_deviations(state: GridState, division: Division) -> Deviations:
     """The deviations of a state without known ones: all nan."""
-    n, m, totals = len(network.buses), len(network.branches), (2, len(TOTALS), len(division.names))
+    n, m, totals = len(state.vm), len(state.branches.branch), (2, len(TOTALS), len(division.names))
     vm, va, branches, injections = (np.full(shape, np.nan) for shape in (n, n, (8, m), (2, n)))
     return Deviations(vm, va, branches, injections, partial(np.full, totals, np.nan))
 

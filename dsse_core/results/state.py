@@ -18,7 +18,7 @@ KIND = MeasurementKind
 
 @dataclass(frozen=True, repr=False)
 class GridState:
-    """A state. ``vm`` p.u., ``va`` rad, ``injection`` complex, p.u.: (n_bus,), network order; nan where unknown.
+    """A state. ``vm`` p.u., ``va`` rad, ``injection`` complex, p.u.: (n_nodes,), network order; nan where unknown.
 
     ``injection`` is generation minus load; a bus' shunt is not a part of it.
     """
@@ -31,20 +31,20 @@ class GridState:
     injection: np.ndarray
 
     def __repr__(self) -> str:
-        return f"<GridState of {self.network.name!r}: {len(self.vm)} buses, {np.isnan(self.vm).sum()} unknown>"
+        return f"<GridState of {self.network.name!r}: {len(self.vm)} nodes, {np.isnan(self.vm).sum()} unknown>"
 
 
 def find_state(network: Network, vm: np.ndarray, va: np.ndarray, branches: BranchModel | None = None) -> GridState:
-    """The state of voltages vm, va (n_bus,), p.u. and rad; ``branches``: of ``network``, if there already."""
+    """The state of voltages vm, va (n_nodes,), p.u. and rad; ``branches``: of ``network``, if there already."""
     branches = branches or build_branch_model(network)
     v = vm * np.exp(1j * va)
-    flows = find_flows(branches, v[branches.f], v[branches.t])
+    flows = find_flows(branches, v[network.table.port_node])
     return GridState(network, branches, vm, va, flows, find_injections(network, branches, flows, vm))
 
 
 @dataclass(frozen=True, repr=False)
 class AreaVoltages:
-    """The voltages that an area states of the buses that it sees, in its order: vm p.u., va rad.
+    """The voltages that an area states of the nodes that it sees, in its order: vm p.u., va rad.
 
     ``referenced``: whether the angles count from the substation. Flows are known without that, too. ``scan``: number of
     the scan whose state it is.
@@ -56,7 +56,7 @@ class AreaVoltages:
     scan: int = 0
 
     def __repr__(self) -> str:
-        return f"<AreaVoltages of {len(self.vm)} buses, {'absolute' if self.referenced else 'relative'} angles>"
+        return f"<AreaVoltages of {len(self.vm)} nodes, {'absolute' if self.referenced else 'relative'} angles>"
 
 
 def join_states(partition: Partition, by_area: Mapping[str, AreaVoltages]) -> GridState:
@@ -67,24 +67,24 @@ def join_states(partition: Partition, by_area: Mapping[str, AreaVoltages]) -> Gr
     where their voltages are of different scans.
     """
     network = partition.network
-    branches, n = build_branch_model(network), len(network.buses)
+    branches, n = build_branch_model(network), network.n_nodes
     vm, va = np.full(n, np.nan), np.full(n, np.nan)
-    ends = np.full((2, len(network.branches)), complex(np.nan, np.nan))
+    at_ports = np.full(len(network.table.ports), complex(np.nan, np.nan))
     for k, area in enumerate(partition.areas):
         if (found := by_area.get(area.name)) is None:
             continue
-        rows, at = partition.rows_of_buses[area.name], partition.rows_of_branches[area.name]
-        owned = partition.owner[rows] == k
+        rows = partition.rows_of_nodes[area.name]
+        owned = partition.owner[network.table.nodes.item[rows]] == k
         vm[rows[owned]] = found.vm[owned]
         if found.referenced:
             va[rows[owned]] = found.va[owned]
-        v, table = found.vm * np.exp(1j * found.va), area.network.table
-        ends[0, at], ends[1, at] = (v[table.rows.find(end)] for end in (table.from_bus, table.to_bus))
-    flows = find_flows(branches, ends[0], ends[1])
+        v = found.vm * np.exp(1j * found.va)
+        at_ports[partition.rows_of_ports[area.name]] = v[area.network.table.port_node]
+    flows = find_flows(branches, at_ports)
     injection = find_injections(network, branches, flows, vm)
     for bus, names in partition.boundaries.items():
         if len({by_area[name].scan for name in names if name in by_area}) > 1:
-            injection[network.row[bus]] = complex(np.nan, np.nan)
+            injection[network.nodes_at(bus)] = complex(np.nan, np.nan)
     return GridState(network, branches, vm, va, flows, injection)
 
 
@@ -93,19 +93,15 @@ def read_state(state: GridState, meters: Sequence[Meter]) -> np.ndarray:
 
     Angles lie in (-pi, pi].
     """
-    table, f = tabulate_meters(state.network, meters), state.branches.f
-    bus, active = table.bus, state.network.table.active
-    branch = np.append(active, -1)[np.maximum(table.branch, -1)]
-    at_from = (branch >= 0) & (np.append(f, -1)[branch] == bus)
-    s = state.injection[bus]
-    i = np.zeros(len(meters), dtype=complex)
-    for of_end, power, current in (
-        ((branch >= 0) & at_from, state.flows.s_from, state.flows.i_from),
-        ((branch >= 0) & ~at_from, state.flows.s_to, state.flows.i_to),
-    ):
-        s[of_end], i[of_end] = power[branch[of_end]], current[branch[of_end]]
+    table, (s, i) = tabulate_meters(state.network, meters), state.branches.list_ports(state.flows)
+    at_branch, port, node, other = table.branch >= 0, table.port, table.node, table.other
+    s, i = np.where(at_branch, s[port], state.injection[node]), np.where(at_branch, i[port], 0.0)
+    vm, va = state.vm[node], state.va[node]
+    if other is not None and (between := other >= 0).any():
+        v = state.vm * np.exp(1j * state.va)
+        u = v[node] - np.where(between, v[other], 0.0)
+        s = np.where(between, s * u / v[node], s)  # the same current
+        vm, va = np.where(between, abs(u), vm), np.where(between, np.angle(u), va)
     groups = (KIND.VM,), (KIND.VA,), (KIND.CURRENT,), (KIND.Q_FLOW, KIND.Q_INJECTION)
     chosen = [np.isin(table.kind, [KINDS.index(kind) for kind in group]) for group in groups]
-    return np.asarray(
-        np.select(chosen, [state.vm[bus], np.pi - (np.pi - state.va[bus]) % (2 * np.pi), abs(i), s.imag], s.real)
-    )
+    return np.asarray(np.select(chosen, [vm, np.pi - (np.pi - va) % (2 * np.pi), abs(i), s.imag], s.real))

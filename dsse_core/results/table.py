@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.nodes import PHASES
 from dsse_core.printable import printable, shortened
 
 SHOWN_ROWS = 3
@@ -26,7 +27,7 @@ LONGEST_CELL = 24
 COLUMN = re.compile(r"[a-z]\S*")  # a key of a scenario file as well, such as faults.link[1].loss
 ROWS_AT_A_TIME = 4096  # of a file, whose cells take a few megabytes
 NEEDS_QUOTES = re.compile('[,"\r\n]')
-PHASE = "abc"  # of every row: the network is balanced, in positive sequence
+PHASE = "abc"  # of a row of a balanced network, in positive sequence, and of a total
 
 Column = np.ndarray | tuple[str, ...]
 
@@ -67,6 +68,12 @@ def mark_rows(marks: Sequence[Freshness], of: np.ndarray) -> dict[str, Any]:
         "value_age_s": np.array(ages, dtype=float)[of],
         "fresh": np.array(fresh, dtype=bool)[of],
     }
+
+
+def name_phases(phase: np.ndarray) -> list[str]:
+    """The column ``phase`` of rows by their places in PHASES, (n,)."""
+    names = PHASE, *PHASES[1:]
+    return [names[k] for k in phase.tolist()]
 
 
 def as_times(seconds: np.ndarray) -> np.ndarray:

@@ -26,9 +26,9 @@ class Division:
     of_bus: np.ndarray
     of_branch: np.ndarray
 
-    def owners(self) -> list[str]:
-        """The area of each bus by name."""
-        return [self.names[k] for k in self.of_bus.tolist()]
+    def owners(self, bus: np.ndarray) -> list[str]:
+        """The area of each ``bus``, a row of the network, by name."""
+        return [self.names[k] for k in self.of_bus[bus].tolist()]
 
 
 def whole_network(network: Network, name: str = "") -> Division:
@@ -51,7 +51,8 @@ def division_of(partition: Partition) -> Division:
 class Shares:
     """Coefficients of P, or Q, of each total as a sum of powers into branches at their two ends, and into shunts.
 
-    Rows: TOTALS, each of all areas. ``at_from``, ``at_to`` (4 n_area, n_branch), ``of_shunt`` (4 n_area, n_bus).
+    Rows: TOTALS, each of all areas. ``at_from``, ``at_to`` (4 n_area, n_row of the branches), ``of_shunt`` (4 n_area,
+    n_nodes).
     """
 
     at_from: sp.csr_array
@@ -60,35 +61,35 @@ class Shares:
 
 
 def find_shares(state: GridState, division: Division, injection: np.ndarray) -> Shares:
-    """The shares of P or of Q, whichever the buses' ``injection`` (n_bus,) is.
+    """The shares of P or of Q, whichever the nodes' ``injection`` (n_nodes,) is.
 
-    A bus that injects counts as generation, any other bus as load. Where the injection is nan, both totals of the area
+    A node that injects counts as generation, any other one as load. Where the injection is nan, both totals of the area
     are.
     """
-    n, branches = len(division.names), state.branches
-    of_bus, of_branch, bus = division.of_bus, division.of_branch, np.arange(len(injection))
+    n, branches, node = len(division.names), state.branches, np.arange(len(injection))
+    of_node, of_branch = division.of_bus[state.network.table.nodes.item], division.of_branch[branches.branch]
     load, generation, loss, came = (k * n for k in range(len(TOTALS)))
     injects = injection > 0
 
-    def of_buses(of: np.ndarray, at: np.ndarray) -> Iterator[Entries]:
-        """Entries of the powers into branches or shunts ``of`` at buses ``at``, as parts of the injections there."""
+    def of_nodes(of: np.ndarray, at: np.ndarray) -> Iterator[Entries]:
+        """Entries of the powers into branches or shunts ``of`` at nodes ``at``, as parts of the injections there."""
         drawn, made = ~injects[at], injects[at] | np.isnan(injection[at])
-        yield load + of_bus[at[drawn]], of[drawn], np.full(drawn.sum(), -1.0)
-        yield generation + of_bus[at[made]], of[made], np.ones(made.sum())
+        yield load + of_node[at[drawn]], of[drawn], np.full(drawn.sum(), -1.0)
+        yield generation + of_node[at[made]], of[made], np.ones(made.sum())
 
     def of_end(end: np.ndarray) -> sp.csr_array:
-        closed = np.flatnonzero(branches.in_service)
-        crossing = closed[of_bus[end[closed]] != of_branch[closed]]
+        closed = np.flatnonzero(branches.in_service & (end >= 0))
+        crossing = closed[of_node[end[closed]] != of_branch[closed]]
         entries = [
-            *of_buses(closed, end[closed]),
+            *of_nodes(closed, end[closed]),
             (loss + of_branch[closed], closed, np.ones(len(closed))),
             (came + of_branch[crossing], crossing, np.ones(len(crossing))),
-            (came + of_bus[end[crossing]], crossing, np.full(len(crossing), -1.0)),
+            (came + of_node[end[crossing]], crossing, np.full(len(crossing), -1.0)),
         ]
         return _gather(entries, (len(TOTALS) * n, len(end)))
 
-    of_shunts = [*of_buses(bus, bus), (loss + of_bus, bus, np.ones(len(bus)))]
-    return Shares(of_end(branches.f), of_end(branches.t), _gather(of_shunts, (len(TOTALS) * n, len(bus))))
+    of_shunts = [*of_nodes(node, node), (loss + of_node, node, np.ones(len(node)))]
+    return Shares(of_end(branches.f), of_end(branches.t), _gather(of_shunts, (len(TOTALS) * n, len(node))))
 
 
 def _gather(entries: list[Entries], shape: tuple[int, int]) -> sp.csr_array:
@@ -99,7 +100,7 @@ def _gather(entries: list[Entries], shape: tuple[int, int]) -> sp.csr_array:
 def find_totals(state: GridState, division: Division, sorted_by: np.ndarray | None = None) -> np.ndarray:
     """P and Q of TOTALS of each area, p.u., (2, 4, n_area); nan where a part of the total is not known.
 
-    ``sorted_by`` (n_bus,): injections by whose signs buses count as generation or load; by default the state's.
+    ``sorted_by`` (n_nodes,): injections by whose signs nodes count as generation or load; by default the state's.
     """
     injection = state.injection if sorted_by is None else sorted_by
     flows, shunt = state.flows, find_shunt_powers(state.network, state.vm)

@@ -1,4 +1,8 @@
-"""Units of instruments, from p.u. and rad: kV between lines, three-phase kW and kvar, A in each line, degrees."""
+"""Units of instruments, from p.u. and rad: kV, kW and kvar, A in each line, degrees.
+
+Of a balanced network kV are between lines, kW and kvar of all three phases; of a node with a phase kV are to ground, kW
+and kvar its own: a third of the power base.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +14,15 @@ from dsse_core.grid.network import Network
 
 
 def base_kw(network: Network) -> float:
-    """The size of 1 p.u. of power, kW, kvar or kVA."""
-    return 1000.0 * network.base_mva
+    """The size of 1 p.u. of power at each node, kW, kvar or kVA."""
+    whole = 1000.0 * network.base_mva
+    return whole if network.table.nodes.is_balanced else whole / 3
 
 
 def base_kv(network: Network) -> np.ndarray:
-    """The size of 1 p.u. of voltage at each bus, kV between lines, shape (n_bus,)."""
-    return network.table.base_kv
+    """The size of 1 p.u. of voltage at each node, kV, shape (n_nodes,)."""
+    kv, nodes = network.table.base_kv, network.table.nodes
+    return kv if nodes.is_balanced else kv[nodes.item] / math.sqrt(3.0)
 
 
 def base_a(network: Network) -> np.ndarray:

@@ -14,7 +14,7 @@ from dsse_core.grid.loads import Load, find_nominal
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
-from dsse_core.grid.nodes import Primitive
+from dsse_core.grid.nodes import Primitive, list_phases
 from dsse_core.grid.partition import Partition
 from dsse_core.linear.boundary_information import BoundaryInformation
 
@@ -86,7 +86,7 @@ def solve(network: Network) -> np.ndarray:
 def read_meters(network: Network, seed: int, decades: float, *, is_rich: bool) -> list[Measurement]:
     """Noisy readings of P and Q at each node, 0 exactly where no load is, of some flows, voltages and currents."""
     loaded, rng = network.scheduled != 0, np.random.default_rng(seed)
-    places = [(bus.id, phase) for bus in network.buses if bus.id != 650 for phase in bus.phases]
+    places = [(bus.id, phase) for bus in network.buses if bus.id != 650 for phase in list_phases(bus.phases)]
     meters = [
         Meter(kind, bus, phases=p, source=Source.TELEMETERED if loaded[network.node(bus, p)] else Source.VIRTUAL)
         for bus, p in places

@@ -38,7 +38,7 @@ def make_run_tables(
     ``areas``: the figures of each area in ``result.json``, in order.
 
     Areas publish standard deviations of voltages only. Those of other quantities, and of residuals, come from the
-    covariance of the centralised estimate, at buses where both agree on that of the magnitude (SAME_SIGMA); elsewhere
+    covariance of the centralised estimate, at buses where both agree on those of all magnitudes (SAME_SIGMA); elsewhere
     they are nan.
     """
     state = join_states(comparison.partition, comparison.published)
@@ -71,27 +71,31 @@ def _freshness_of(area: Mapping[str, Any]) -> Freshness:
 def _find_deviations(
     comparison: Comparison, centralised: BadDataReport | None, state: GridState, division: Division
 ) -> tuple[Deviations, np.ndarray]:
-    """Standard deviations; True for buses where those of the magnitude equal the centralised ones, (n_bus,)."""
-    own = comparison.sigma
-    published = replace(no_deviations(state.network, division), vm=own.vm, va=own.va)
+    """Standard deviations; True for buses where those of all magnitudes equal the centralised ones, (n_bus,)."""
+    own, table = comparison.sigma, state.network.table
+    published = replace(no_deviations(state, division), vm=own.vm, va=own.va)
     if centralised is None:
-        return published, np.zeros(len(own.vm), dtype=bool)
+        return published, np.zeros(len(table.bus_id), dtype=bool)
     central = find_deviations(centralised.result, division, state.branches)
-    agreed = abs(own.vm - central.vm) <= SAME_SIGMA * central.vm  # not where it is nan
-    both = agreed[state.branches.f] & agreed[state.branches.t]
+    same = abs(own.vm - central.vm) <= SAME_SIGMA * central.vm  # not where it is nan
+    agreed = np.bincount(table.nodes.item, ~same, len(table.bus_id)) == 0
+    both = agreed[table.end_rows[:, state.branches.branch]].all(axis=0)
     branches = np.where(both & ~np.isnan(state.flows.s_from.real), central.branches, np.nan)
-    injections = np.where(agreed & ~np.isnan(state.injection.real), central.injections, np.nan)
+    injections = np.where(agreed[table.nodes.item] & ~np.isnan(state.injection.real), central.injections, np.nan)
     totals = np.where(_find_agreed_areas(state, division, both, agreed), central.totals, np.nan)
     # computed now, as their inputs take more memory than the tables
     return replace(published, branches=branches, injections=injections, find_totals=lambda: totals), agreed
 
 
 def _find_agreed_areas(state: GridState, division: Division, branches: np.ndarray, buses: np.ndarray) -> np.ndarray:
-    """True for areas of which all owned ``buses``, and all ``branches`` held or ending there, agree, (n_area,)."""
+    """True for areas of which all owned ``buses`` (n_bus,), and all ``branches`` (n_row,) held or ending there, agree,
+    (n_area,).
+    """
     agreed = np.ones(len(division.names), dtype=bool)
     agreed[division.of_bus[~buses]] = False
-    for area in (division.of_branch, division.of_bus[state.branches.f], division.of_bus[state.branches.t]):
-        agreed[area[~branches & state.branches.in_service]] = False
+    of_branch, ends = state.branches.branch, state.network.table.end_rows
+    for area in (division.of_branch, *division.of_bus[ends]):
+        agreed[area[of_branch][~branches & state.branches.in_service]] = False
     return np.asarray(agreed & ~np.isnan(find_totals(state, division)).any(axis=(0, 1)))
 
 

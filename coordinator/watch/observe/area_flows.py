@@ -12,6 +12,7 @@ from agents.messages.packing import StateMessage
 from coordinator.watch.observe.freshness import freshness_of_state
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.boundary import Kind
+from dsse_core.grid.nodes import name_node
 from dsse_core.grid.partition import Area
 from dsse_core.printable import listed
 from dsse_core.results.branches import make_branch_table
@@ -31,15 +32,15 @@ def make_area_flows(area: Area, state: StateMessage, freshness: Freshness | None
     known even then. ``freshness``: of the numbers; as the area states it, without that of a watcher.
 
     Raises:
-        InvalidInputError: the state has other buses than the area.
+        InvalidInputError: the state has other nodes than the area.
     """
     network = area.network
-    place = {bus: k for k, bus in enumerate(state.buses)}
-    if place.keys() != network.row.keys():
-        names = listed(sorted(place.keys() ^ network.row.keys()), MOST_NAMED)
+    place, own = {node: k for k, node in enumerate(state.nodes)}, network.nodes
+    if place.keys() != set(own):
+        names = listed([name_node(*node) for node in sorted(place.keys() ^ set(own))], MOST_NAMED)
         problem = f"the area on the bus and the file differ in bus {names}; give the file that its agent has"
         raise InvalidInputError(f"area file of {area.name!r}", [problem])
-    order = [place[bus] for bus in network.row]
+    order = [place[node] for node in own]
     vm, va, sigma_vm, sigma_va = (
         np.array(numbers, dtype=float)[order] for numbers in (state.vm, state.va, state.sigma_vm, state.sigma_va)
     )
@@ -49,7 +50,7 @@ def make_area_flows(area: Area, state: StateMessage, freshness: Freshness | None
     deviations = sigma_vm, sigma_va if state.referenced else unknown, np.full((2, len(vm)), np.nan)
     label = ScanLabel(str(state.header.scan), state.taken_at or math.nan)
     compared = {"decentralised": (shown.vm, shown.va)}
-    counts, marks = (len(vm), len(network.branches)), [freshness or freshness_of_state(state)]
+    counts, marks = (len(vm), len(found.branches.branch)), [freshness or freshness_of_state(state)]
     of_buses, of_branches = (mark_rows(marks, np.zeros(count, dtype=np.int64)) for count in counts)
     buses = make_bus_table(shown, [area.name] * len(vm), compared, *deviations, label, of_buses)
     branches = make_branch_table(network, found.branches, found.flows, label=label, marks=of_branches)
@@ -66,7 +67,7 @@ def _find_own_injections(area: Area, state: StateMessage, found: GridState) -> t
     """The state with the injections of the buses alone: flows of the area's branches at a boundary bus, and the powers
     into its children. Boundary bus -> the reason that its injection is not known.
     """
-    injection, row, powers = found.injection.copy(), area.network.row, area.powers_into_children
+    injection, network, powers = found.injection.copy(), area.network, area.powers_into_children
     problems = dict.fromkeys(area.not_owned, f"{area.parent.area} owns this bus" if area.parent else "")
     if len(state.into_children) != len(powers):
         for bus in {power.bus for power in powers}:
@@ -74,6 +75,7 @@ def _find_own_injections(area: Area, state: StateMessage, found: GridState) -> t
             problems[bus] = f"{area.name} does not know the power into {children}"
     else:
         for power, value in zip(powers, state.into_children, strict=True):
-            injection[row[power.bus]] += value if power.kind is Kind.P else 1j * value
-    injection[[row[bus] for bus in problems]] = complex(np.nan, np.nan)
+            injection[network.node(power.bus, power.phase)] += value if power.kind is Kind.P else 1j * value
+    for bus in problems:
+        injection[network.nodes_at(bus)] = complex(np.nan, np.nan)
     return replace(found, injection=injection), problems

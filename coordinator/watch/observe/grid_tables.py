@@ -19,7 +19,7 @@ from dsse_core.grid.measurement import Meter, Source
 from dsse_core.grid.partition import Partition
 from dsse_core.results.branches import find_loading, make_branch_table
 from dsse_core.results.buses import make_bus_table
-from dsse_core.results.flows import Flows
+from dsse_core.results.flows import Flows, build_branch_model
 from dsse_core.results.meters import UNIT, find_unit_sizes
 from dsse_core.results.state import AreaVoltages, join_states
 from dsse_core.results.table import PHASE, Freshness, Table
@@ -56,17 +56,17 @@ def find_tables(watcher: Watcher, view: View, known: GridTables | None) -> Table
 
 
 def list_buses(states: States, freshness: FreshnessByArea) -> Table:
-    """A row for each bus of each area, p.u. and degrees; a boundary bus has one for each area that sees it."""
+    """A row for each node of each area, p.u. and degrees; a boundary bus has rows for each area that sees it."""
     rows = [
-        (area, bus, vm, va if s.referenced else np.nan, sigma_vm, np.degrees(sigma_va))
+        (area, *node, vm, va if s.referenced else np.nan, sigma_vm, np.degrees(sigma_va))
         for area, s in states.items()
-        for bus, vm, va, sigma_vm, sigma_va in zip(s.buses, s.vm, s.va, s.sigma_vm, s.sigma_va, strict=True)
+        for node, vm, va, sigma_vm, sigma_va in zip(s.nodes, s.vm, s.va, s.sigma_vm, s.sigma_va, strict=True)
     ]
-    areas, buses, *numbers = zip(*rows, strict=True) if rows else [()] * 6
+    areas, buses, phases, *numbers = zip(*rows, strict=True) if rows else [()] * 7
     names = "vm_pu", "va_deg", "sigma_vm_pu", "sigma_va_deg"
     columns = {name: np.array(column, dtype=float) for name, column in zip(names, numbers, strict=True)}
     columns["va_deg"] = wrap_degrees(columns["va_deg"])
-    node: Columns = {"bus": np.array(buses, dtype=np.int64), "area": areas, "phase": [PHASE] * len(areas)}
+    node: Columns = {"bus": np.array(buses, dtype=np.int64), "area": areas, "phase": [p or PHASE for p in phases]}
     return Table("buses", node | columns | describe_freshness(areas, freshness))
 
 
@@ -156,7 +156,7 @@ class GridTables:
 
     scenario: Scenario
     _last_rows: list[_MeterRows] = field(default_factory=list, repr=False, compare=False)
-    _last_order: dict[str, tuple[tuple[int, ...], np.ndarray]] = field(default_factory=dict, repr=False, compare=False)
+    _last_order: dict[str, tuple[object, np.ndarray]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def partition(self) -> Partition:
@@ -164,9 +164,10 @@ class GridTables:
 
     @cached_property
     def is_rated(self) -> np.ndarray:
-        """True for branches whose loading can be known, (n_branch,)."""
-        none = np.zeros(len(self.scenario.network.branches), dtype=complex)
-        return np.asarray(~np.isnan(find_loading(self.scenario.network, Flows(none, none, none, none))))
+        """True for conductors whose loading can be known, (n_row,)."""
+        branches = build_branch_model(self.scenario.network)
+        none = np.zeros(len(branches.branch), dtype=complex)
+        return np.asarray(~np.isnan(find_loading(branches, Flows(none, none, none, none))))
 
     def buses_and_branches(self, states: States, freshness: FreshnessByArea) -> tuple[Table, Table]:
         """Buses by the states of their owners, branches by those of the areas that hold them; nan where not known.
@@ -175,22 +176,23 @@ class GridTables:
         """
         fitting = {area.name: own for area in self.partition.areas if (own := self._fitting(area.name, states))}
         state = join_states(self.partition, {name: self._voltages_of(name, s) for name, s in fitting.items()})
-        n, owners = len(state.vm), self.partition.owner_of_bus
+        n, owners, of_node = len(state.vm), self.partition.owner_of_bus, state.network.table.nodes.item
         sigma = np.full((2, n), np.nan)
         for k, area in enumerate(self.partition.areas):
             if (own := fitting.get(area.name)) is not None:
-                rows, order = self.partition.rows_of_buses[area.name], self._order_of(area.name, own.buses)
-                owned = self.partition.owner[rows] == k
+                rows, order = self.partition.rows_of_nodes[area.name], self._order_of(area.name, own)
+                owned = self.partition.owner[of_node[rows]] == k
                 sigma[0, rows[owned]] = np.array(own.sigma_vm)[order][owned]
                 if own.referenced:
                     sigma[1, rows[owned]] = np.array(own.sigma_va)[order][owned]
-        areas = [owners[bus.id] for bus in state.network.buses]
+        areas = [owners[bus] for bus in state.network.node_buses]
         problems = self._find_injection_problems(fitting, freshness)
-        unknown = np.isin(state.network.table.bus_id, list(problems))
+        unknown = np.isin(state.network.table.bus_id, list(problems))[of_node]
         state = replace(state, injection=np.where(unknown, complex(np.nan, np.nan), state.injection))
         marks, unknown = describe_freshness(areas, freshness), np.full((2, n), np.nan)
         buses = make_bus_table(state, areas, {}, sigma[0], sigma[1], unknown, marks=marks)
-        marks = describe_freshness(self._holders, freshness)
+        holders = self._holders
+        marks = describe_freshness([holders[k] for k in state.branches.branch.tolist()], freshness)
         branches = make_branch_table(state.network, state.branches, state.flows, marks=marks)
         return add_problems(buses, problems), branches
 
@@ -275,28 +277,35 @@ class GridTables:
         return {meter.id: area for area, own in by_area.items() for meter in own}
 
     def _fitting(self, area: str, states: States) -> StateMessage | None:
-        """The state of ``area`` if its buses are the area's; None for an estimate of other buses, or none."""
+        """The state of ``area`` if its nodes are the area's; None for an estimate of other nodes, or none."""
         state = states.get(area)
-        own = self.partition.area(area).network.row
-        return state if state is not None and state.buses and own.keys() == set(state.buses) else None
+        own = self.partition.area(area).network.nodes
+        return state if state is not None and state.buses and set(own) == set(state.nodes) else None
 
-    def _order_of(self, area: str, buses: tuple[int, ...]) -> np.ndarray:
-        """Position in ``buses``, the order of the area's state, of each bus of its network, (n_bus,)."""
-        if self._last_order.get(area, ((), None))[0] != buses:
-            place = {bus: k for k, bus in enumerate(buses)}
-            found = [place[bus] for bus in self.partition.area(area).network.row]
-            self._last_order[area] = buses, np.array(found, dtype=np.int64)
+    def _order_of(self, area: str, state: StateMessage) -> np.ndarray:
+        """Position in the area's ``state`` of each node of its network, (n_nodes,)."""
+        at = state.buses, state.phases
+        if self._last_order.get(area, ((), None))[0] != at:
+            place = {node: k for k, node in enumerate(state.nodes)}
+            found = [place[node] for node in self.partition.area(area).network.nodes]
+            self._last_order[area] = at, np.array(found, dtype=np.int64)
         return self._last_order[area][1]
 
     def _voltages_of(self, area: str, state: StateMessage) -> AreaVoltages:
-        order = self._order_of(area, state.buses)
+        order = self._order_of(area, state)
         return AreaVoltages(np.array(state.vm)[order], np.array(state.va)[order], state.referenced, state.header.scan)
 
 
 def _agree_at(bus: int, one: StateMessage, other: StateMessage, most_vm: float, most_va: float) -> bool:
-    """True where two areas state the same voltage of ``bus``, of angles that count from the substation in both."""
-    i, j = one.buses.index(bus), other.buses.index(bus)
-    if abs(one.vm[i] - other.vm[j]) > most_vm:
-        return False
+    """True where two areas state the same voltages of the phases of ``bus`` that both have, of angles that count from
+    the substation in both.
+    """
     both = one.referenced and other.referenced
-    return not both or abs(math.remainder(one.va[i] - other.va[j], 2 * math.pi)) <= most_va
+    for phase in one.phases_at(bus):
+        if phase in other.phases_at(bus):
+            i, j = one.row_of(bus, phase), other.row_of(bus, phase)
+            if abs(one.vm[i] - other.vm[j]) > most_vm:
+                return False
+            if both and abs(math.remainder(one.va[i] - other.va[j], 2 * math.pi)) > most_va:
+                return False
+    return True

@@ -37,12 +37,12 @@ def find_gradients(branches: BranchModel, at_from: np.ndarray, s: np.ndarray, u:
 
     ``s``, ``u`` (n_branch,): complex power and magnitude of the voltage there, p.u.
     """
-    there = branches.in_service
-    yko = np.where(there, np.where(at_from, branches.yft, branches.ytf), 1.0)
-    ykk, yoo = (np.where(at_from, y, z) for y, z in ((branches.yff, branches.ytt), (branches.ytt, branches.yff)))
+    of = branches.two_ports
+    yko = np.where(branches.in_service, np.where(at_from, of.yft, of.ytf), 1.0)
+    ykk, yoo = (np.where(at_from, y, z) for y, z in ((of.yff, of.ytt), (of.ytt, of.yff)))
     i_near = s.conj() / u
     v_far = i_near / yko, -(ykk / yko) * u  # the parts that go with 1 / u and with u
-    i_far = yoo / yko * i_near, -(branches.det / yko) * u
+    i_far = yoo / yko * i_near, -(of.det / yko) * u
     of_current = np.stack([1 / u, -1j / u, -i_near], axis=-1)  # di_near by p, q and ln u
     dv = of_current / yko[:, None]
     di = of_current * (yoo / yko)[:, None]
@@ -51,10 +51,13 @@ def find_gradients(branches: BranchModel, at_from: np.ndarray, s: np.ndarray, u:
     v, i = sum(v_far), sum(i_far)
     near = np.broadcast_to(np.array([1.0, 1j, 0.0]), dv.shape)
     far = dv * i.conj()[:, None] + v[:, None] * di.conj()
-    return BranchGradients(near, far, _of_magnitude(i_near, of_current), _of_magnitude(i, di), near + far)
+    return BranchGradients(
+        near, far, differentiate_magnitude(i_near, of_current), differentiate_magnitude(i, di), near + far
+    )
 
 
-def _of_magnitude(i: np.ndarray, di: np.ndarray) -> np.ndarray:
+def differentiate_magnitude(i: np.ndarray, di: np.ndarray) -> np.ndarray:
+    """The derivatives of |i|, (n, k), for those of the currents ``i`` (n,), complex; nan where no current flows."""
     size = np.where(abs(i) > CURRENT_FLOOR, abs(i), np.nan)[:, None]
     return np.asarray((i.conj()[:, None] * di).real / size)
 

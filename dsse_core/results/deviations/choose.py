@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Deviations:
-    """Standard deviations in p.u. and rad. ``vm``, ``va`` (n_bus,). ``branches`` (8, n_branch): P, Q, I at the from
-    end, P, Q, I at the to end, losses P and Q; of a current that does not flow nan. ``injections`` (2, n_bus): P, Q.
+    """Standard deviations in p.u. and rad. ``vm``, ``va`` (n_nodes,). ``branches`` (8, n_row): P, Q, I at the from end,
+    P, Q, I at the to end, losses P and Q, of each conductor; of a current that does not flow nan. ``injections`` (2,
+    n_nodes): P, Q.
     """
 
     vm: np.ndarray
@@ -48,11 +49,17 @@ def find_deviations(
 
     Time with the radial back end: O(n_bus), and for each area O(its buses and those on the way to the root). With the
     sparse one: about one more factorisation, of a tableau with four more rows per branch and two per injection without
-    an informative meter, and eight solutions per area.
+    an informative meter, and eight solutions per area; with phases 16 rows per conductor.
     """
     state = find_state(result.network, result.vm, result.va, branches)
     vm, va = result.state_sigma()  # before the factor that they need is dropped
     division, branches, flows = division or whole_network(result.network), state.branches, state.flows
+    if not result.network.table.nodes.is_balanced:
+        from dsse_core.results.deviations.ports import PortDeviations
+
+        ports = PortDeviations(result, state)
+        of_branches, injections = map(np.sqrt, ports.of_branches_and_injections())
+        return Deviations(vm, va, of_branches, injections, lambda: _fold(ports.of_totals(division)))
     if isinstance(result.plan.radial, str):
         from dsse_core.results.deviations.sparse import SparseDeviations
 
@@ -82,5 +89,9 @@ def _find_totals(
     at_from: np.ndarray,
     gradients: BranchGradients,
 ) -> np.ndarray:
-    variances = found.of_sums(*find_total_gradients(state, division, at_from, gradients))
+    return _fold(found.of_sums(*find_total_gradients(state, division, at_from, gradients)))
+
+
+def _fold(variances: np.ndarray) -> np.ndarray:
+    """Standard deviations of totals, (2, 4, n_area), by their variances one after the other."""
     return np.asarray(np.sqrt(np.maximum(variances, 0.0)).reshape(2, len(TOTALS), -1))

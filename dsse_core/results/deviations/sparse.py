@@ -24,7 +24,7 @@ class SparseDeviations:
     def __init__(self, result: EstimationResult) -> None:
         network, n = result.network, len(result.vm)
         self._result, self._active = result, network.table.active
-        self._metered = _metered_injections(result)
+        self._metered = find_metered_injections(result)
         self._unmetered = np.argwhere(np.isnan(self._metered))
         read = build_measurement_model(network, build_admittance(network), _meters_of(network, self._unmetered))
         self._of_vm, self._rows_from = n + np.arange(n), network.table.f
@@ -83,13 +83,15 @@ def _meters_of(network: Network, unmetered: np.ndarray) -> Records[Meter]:
     return make_meters(network, kind, bus, np.concatenate([active, active, np.full(len(unmetered), NO_BRANCH)]))
 
 
-def _metered_injections(result: EstimationResult) -> np.ndarray:
-    """Variances of metered injections, ``R - Omega``, (2, n_bus); nan where there is no informative meter."""
+def find_metered_injections(result: EstimationResult) -> np.ndarray:
+    """Variances of metered injections, ``R - Omega``, (2, n_nodes); nan where there is no informative meter."""
     found = np.full((2, len(result.vm)), np.nan)
     variance = result.sigmas**2 - result.residual_variance
-    is_informative = variance >= LEAST_REDUCTION * result.sigmas**2
     table = tabulate_meters(result.network, result.plan.meters)
+    is_informative = variance >= LEAST_REDUCTION * result.sigmas**2
+    if table.other is not None:
+        is_informative &= table.other < 0
     for row, kind in enumerate(INJECTIONS):
         here = np.flatnonzero(is_informative & (table.kind == KINDS.index(kind)))
-        found[row, table.bus[here]] = np.maximum(variance[here], 0.0)
+        found[row, table.node[here]] = np.maximum(variance[here], 0.0)
     return found

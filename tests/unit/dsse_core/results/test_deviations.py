@@ -234,7 +234,7 @@ def test_deviations_agree_with_samples(rich, n_cases):
     samples, division = [], some_division(rich, 1)
     estimated = find_state(rich, result.vm, result.va)
     for k in range(len(x)):
-        flows = find_flows(model, v[k, model.f], v[k, model.t])
+        flows = find_flows(model, v[k, rich.table.port_node])
         s = find_injections(rich, model, flows, vm[k])
         ends = [(q.real, q.imag, abs(i)) for q, i in ((flows.s_from, flows.i_from), (flows.s_to, flows.i_to))]
         derived = [*ends[0], *ends[1], flows.loss.real, flows.loss.imag, s.real, s.imag]
