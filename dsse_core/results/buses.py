@@ -41,6 +41,9 @@ def make_bus_table(
     network, n = state.network, len(state.vm)
     nodes, names = network.table.nodes, list(read_given(network.buses, "name"))
     kv, kw, unknown = base_kv(network), base_kw(network), np.full(n, np.nan)
+    grounded = ~np.isin(network.table.bus_id, network.gauge.ungrounded)[nodes.item]
+    sigma_vm, sigma_va = (np.where(grounded, sigma, np.nan) for sigma in (sigma_vm, sigma_va))
+    sigma_injection = np.where(grounded, sigma_injection, np.nan)
     voltages: dict[str, Any] = {}
     for which in COMPARED:
         vm, va = compared.get(which, (unknown, unknown))
@@ -59,6 +62,7 @@ def make_bus_table(
         vm_kv=state.vm * kv,
         p_kw=state.injection.real * kw,
         q_kvar=state.injection.imag * kw,
+        grounded=None if nodes.is_balanced else grounded,
         unbalance_percent=None if nodes.is_balanced else find_unbalance(network, state.vm, state.va),
         sigma_vm_kv=sigma_vm * kv,
         sigma_p_kw=sigma_injection[0] * kw,

@@ -58,6 +58,9 @@ class BusColumns:
     """injection, generation minus load; the power of its shunt is a loss"""
     unbalance_percent: Numbers | None = None
     """negative by positive sequence of the bus' voltages, empty without a, b and c; only with phases"""
+    grounded: Truths | None = None
+    """false where nothing joins the bus to ground: only voltages between its phases and sums of their powers are
+    determined, those to ground and of one phase are a convention without standard deviation; only with phases"""
     sigma_vm_kv: Numbers
     sigma_p_kw: Numbers
     sigma_q_kvar: Numbers

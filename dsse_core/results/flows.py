@@ -111,18 +111,28 @@ def _add_up(at: np.ndarray, values: np.ndarray, n: int) -> np.ndarray:
     return np.asarray(np.bincount(at, values.real, n) + 1j * np.bincount(at, values.imag, n))
 
 
-def find_shunt_powers(network: Network, vm: np.ndarray) -> np.ndarray:
-    """The power that shunts consume at each node, complex, (n_nodes,), p.u.; ``vm`` (n_nodes,)."""
+def find_shunt_powers(network: Network, vm: np.ndarray, va: np.ndarray) -> np.ndarray:
+    """The power that shunts consume at each node, complex, (n_nodes,), p.u.; ``vm``, ``va`` (n_nodes,).
+
+    A shunt of a bus without ground draws no common current of its phases.
+    """
     shunt = network.table.shunt.conj()[network.table.nodes.item]
-    return np.where(shunt == 0, 0.0, shunt * vm**2)
+    s = np.where(shunt == 0, 0.0, shunt * vm**2)
+    for bus in network.gauge.ungrounded:
+        at = network.nodes_at(bus)
+        v = vm[at] * np.exp(1j * va[at])
+        s[at] = v * (network.table.shunt[network.row[bus]] * (v - v.mean())).conj()
+    return s
 
 
-def find_injections(network: Network, branches: BranchModel, flows: Flows, vm: np.ndarray) -> np.ndarray:
+def find_injections(
+    network: Network, branches: BranchModel, flows: Flows, vm: np.ndarray, va: np.ndarray
+) -> np.ndarray:
     """Generation minus load at each node, complex, (n_nodes,), p.u.: the sum of powers into its branches and its shunt.
 
     Nan where ``vm`` (n_nodes,) is.
     """
-    s = find_shunt_powers(network, vm)
+    s = find_shunt_powers(network, vm, va)
     for end, power in ((branches.f, flows.s_from), (branches.t, flows.s_to)):
         s = s + _add_up(end, power, len(vm))
     return np.where(np.isnan(vm), complex(np.nan, np.nan), s)

@@ -9,7 +9,7 @@ import numpy as np
 from dsse_core.estimation.residuals import CRITICAL_REDUNDANCY
 from dsse_core.grid.columns import read_column
 from dsse_core.grid.measurement import MeasurementKind, Meter
-from dsse_core.grid.meter_table import KINDS, list_columns, list_ids, list_texts, number_kinds
+from dsse_core.grid.meter_table import KINDS, list_columns, list_ids, list_texts, number_kinds, tabulate_meters
 from dsse_core.grid.network import Network
 from dsse_core.results.columns import MeterColumns
 from dsse_core.results.state import GridState, read_state
@@ -117,10 +117,10 @@ def _find_status(
 
 
 def find_unit_sizes(network: Network, meters: Sequence[Meter]) -> np.ndarray:
-    """The size of 1 p.u. or 1 rad in the unit of each meter, (n_meas,); of a total the power base of all phases."""
-    kw = base_kw(network)
+    """The size of 1 p.u. or 1 rad in the unit of each meter, (n_meas,); of a total the power base of its phases."""
+    kw, (_, of_meter) = base_kw(network), tabulate_meters(network, meters).spread()
     of_unit = {"pu": 1.0, "deg": 180 / np.pi, "kw": kw, "kvar": kw, "a": np.nan}
     kinds, row = number_kinds(meters), network.table.rows.find(read_column(meters, "bus", np.int64))
     of_kind = np.array([of_unit[UNIT[kind]] for kind in KINDS])
     sizes: np.ndarray = np.where(kinds == KINDS.index(KIND.CURRENT), base_a(network)[row], of_kind[kinds])
-    return sizes
+    return sizes if of_meter is None else sizes * np.bincount(of_meter)

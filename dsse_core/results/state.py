@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dsse_core.grid.measurement import MeasurementKind, Meter
-from dsse_core.grid.meter_table import KINDS, tabulate_meters
+from dsse_core.grid.meter_table import KINDS, average, tabulate_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Partition
 from dsse_core.results.flows import BranchModel, Flows, build_branch_model, find_flows, find_injections
@@ -39,7 +39,7 @@ def find_state(network: Network, vm: np.ndarray, va: np.ndarray, branches: Branc
     branches = branches or build_branch_model(network)
     v = vm * np.exp(1j * va)
     flows = find_flows(branches, v[network.table.port_node])
-    return GridState(network, branches, vm, va, flows, find_injections(network, branches, flows, vm))
+    return GridState(network, branches, vm, va, flows, find_injections(network, branches, flows, vm, va))
 
 
 @dataclass(frozen=True, repr=False)
@@ -81,7 +81,7 @@ def join_states(partition: Partition, by_area: Mapping[str, AreaVoltages]) -> Gr
         v = found.vm * np.exp(1j * found.va)
         at_ports[partition.rows_of_ports[area.name]] = v[area.network.table.port_node]
     flows = find_flows(branches, at_ports)
-    injection = find_injections(network, branches, flows, vm)
+    injection = find_injections(network, branches, flows, vm, va)
     for bus, names in partition.boundaries.items():
         if len({by_area[name].scan for name in names if name in by_area}) > 1:
             injection[network.nodes_at(bus)] = complex(np.nan, np.nan)
@@ -93,7 +93,7 @@ def read_state(state: GridState, meters: Sequence[Meter]) -> np.ndarray:
 
     Angles lie in (-pi, pi].
     """
-    table, (s, i) = tabulate_meters(state.network, meters), state.branches.list_ports(state.flows)
+    (table, of_meter), (s, i) = tabulate_meters(state.network, meters).spread(), state.branches.list_ports(state.flows)
     at_branch, port, node, other = table.branch >= 0, table.port, table.node, table.other
     s, i = np.where(at_branch, s[port], state.injection[node]), np.where(at_branch, i[port], 0.0)
     vm, va = state.vm[node], state.va[node]
@@ -104,4 +104,5 @@ def read_state(state: GridState, meters: Sequence[Meter]) -> np.ndarray:
         vm, va = np.where(between, abs(u), vm), np.where(between, np.angle(u), va)
     groups = (KIND.VM,), (KIND.VA,), (KIND.CURRENT,), (KIND.Q_FLOW, KIND.Q_INJECTION)
     chosen = [np.isin(table.kind, [KINDS.index(kind) for kind in group]) for group in groups]
-    return np.asarray(np.select(chosen, [vm, np.pi - (np.pi - va) % (2 * np.pi), abs(i), s.imag], s.real))
+    read = np.select(chosen, [vm, np.pi - (np.pi - va) % (2 * np.pi), abs(i), s.imag], s.real)
+    return average(read, of_meter)

@@ -103,7 +103,7 @@ def find_totals(state: GridState, division: Division, sorted_by: np.ndarray | No
     ``sorted_by`` (n_nodes,): injections by whose signs nodes count as generation or load; by default the state's.
     """
     injection = state.injection if sorted_by is None else sorted_by
-    flows, shunt = state.flows, find_shunt_powers(state.network, state.vm)
+    flows, shunt = state.flows, find_shunt_powers(state.network, state.vm, state.va)
     found = []
     for part in (np.real, np.imag):
         shares = find_shares(state, division, part(injection))
@@ -122,7 +122,7 @@ def find_total_gradients(
     near_is_from = at_from[:, None]
     of_from = np.where(near_is_from, gradients.near, gradients.far)
     of_to = np.where(near_is_from, gradients.far, gradients.near)
-    shunt = find_shunt_powers(state.network, state.vm)
+    shunt = find_shunt_powers(state.network, state.vm, state.va)
     for part in (np.real, np.imag):
         shares = find_shares(state, division, part(state.injection))
         by_ends.append(shares.at_from @ _by_branch(part(of_from)) + shares.at_to @ _by_branch(part(of_to)))

@@ -93,7 +93,7 @@ class PortDeviations:
     def of_totals(self, division: Division) -> np.ndarray:
         """Variances of P of TOTALS of all areas, then of Q, (8 n_area,); nan where that would take too long."""
         state, rows = self._state, []
-        branches, shunt = state.branches, find_shunt_powers(state.network, state.vm)
+        branches, shunt = state.branches, find_shunt_powers(state.network, state.vm, state.va)
         for part, at_port in ((np.real, self._p), (np.imag, self._q)):
             shares = find_shares(state, division, part(state.injection))
             of_shunt = sp.csr_array(shares.of_shunt @ sp.diags_array(2 * part(shunt) / state.vm))

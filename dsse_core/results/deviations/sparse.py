@@ -11,7 +11,7 @@ from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.measurement_model import build_measurement_model
-from dsse_core.grid.meter_table import KINDS, NO_BRANCH, make_meters, tabulate_meters
+from dsse_core.grid.meter_table import KINDS, NO_BRANCH, TOTAL, UNKNOWN, make_meters, tabulate_meters
 from dsse_core.grid.network import Network
 
 FLOWS = (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW)
@@ -89,8 +89,8 @@ def find_metered_injections(result: EstimationResult) -> np.ndarray:
     variance = result.sigmas**2 - result.residual_variance
     table = tabulate_meters(result.network, result.plan.meters)
     is_informative = variance >= LEAST_REDUCTION * result.sigmas**2
-    if table.other is not None:
-        is_informative &= table.other < 0
+    if table.phases is not None:
+        is_informative &= (table.phases[0] != TOTAL) & (table.phases[1] == UNKNOWN)
     for row, kind in enumerate(INJECTIONS):
         here = np.flatnonzero(is_informative & (table.kind == KINDS.index(kind)))
         found[row, table.node[here]] = np.maximum(variance[here], 0.0)

@@ -235,7 +235,7 @@ def test_deviations_agree_with_samples(rich, n_cases):
     estimated = find_state(rich, result.vm, result.va)
     for k in range(len(x)):
         flows = find_flows(model, v[k, rich.table.port_node])
-        s = find_injections(rich, model, flows, vm[k])
+        s = find_injections(rich, model, flows, vm[k], va[k])
         ends = [(q.real, q.imag, abs(i)) for q, i in ((flows.s_from, flows.i_from), (flows.s_to, flows.i_to))]
         derived = [*ends[0], *ends[1], flows.loss.real, flows.loss.imag, s.real, s.imag]
         totals = find_totals(GridState(rich, model, vm[k], va[k], flows, s), division, estimated.injection)

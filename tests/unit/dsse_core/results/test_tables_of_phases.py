@@ -11,12 +11,16 @@ from dsse_core.estimation.estimator import estimate_state
 from dsse_core.estimation.result import EstimationResult
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.division import build_partition
+from dsse_core.grid.loads import Load
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Branch, Bus, Network
 from dsse_core.grid.nodes import PHASES, Primitive, list_phases
+from dsse_core.grid.primitives import build_bank, connect
+from dsse_core.power_flow.newton_raphson import solve_power_flow
+from dsse_core.results.buses import make_bus_table
 from dsse_core.results.deviations.choose import find_deviations
-from dsse_core.results.results import results_of_estimate
+from dsse_core.results.results import results_of_estimate, results_of_power_flow
 from dsse_core.results.state import AreaVoltages, find_state, join_states, read_state
 from dsse_core.results.totals import division_of, find_totals
 from tests.support.phases import DEEP, KIND, TIE, make_feeder, read_meters, solve
@@ -115,6 +119,8 @@ def test_meters_of_every_kind_read_in_the_table_what_the_model_predicts(feeder: 
         Meter(KIND.P_INJECTION, 646, phases="bc"),
         Meter(KIND.VA, 671, phases="ab"),
         Meter(KIND.VA, 611, phases="c"),
+        Meter(KIND.P_INJECTION, 671),
+        Meter(KIND.Q_FLOW, 645, "645-632"),
     ]
     va, vm = np.split(x, 2)
     expected = build_measurement_model(feeder, build_admittance(feeder), meters).predict(x)
@@ -223,3 +229,30 @@ def test_a_short_line_has_the_deviations_of_dense_algebra(feeder: Network) -> No
     network = replace(feeder, branches=tuple(short))
     readings: list[Measurement] = read_meters(network, 1, 0.0, is_rich=True)
     assert_dense(estimate_state(network, readings))
+
+
+def test_rows_of_a_part_without_ground_say_so_and_promise_no_voltages_to_ground(feeder: Network) -> None:
+    delta = Primitive(
+        "abc", "abc", build_bank(connect("abc", "grounded"), connect("abc", "delta"), 1 - 6j).y, np.zeros((6, 6))
+    )
+    loose = [replace(b, primitive=delta) if b.id == "692-675" else b for b in feeder.branches if b.id != TIE.id]
+    loads = tuple(
+        Load(load.bus, load.phases + "bca"["abc".index(load.phases)], load.s) if load.bus == 675 else load
+        for load in feeder.loads
+    )
+    buses = tuple(replace(bus, b_shunt=0.02) if bus.id == 675 else bus for bus in feeder.buses)
+    network = replace(feeder, buses=buses, branches=tuple(loose), loads=loads)
+    result = solve_power_flow(network)
+    tables = results_of_power_flow(result, meters=[Meter(KIND.P_INJECTION, 675), Meter(KIND.VM, 675, phases="ab")])
+    buses, at = tables.buses, network.nodes_at(675)
+    np.testing.assert_array_equal(buses.grounded, buses.bus != 675)
+    drawn = sum(load.s for load in loads if load.bus == 675)
+    assert buses.p_kw[at].sum() == pytest.approx(-drawn.real * KW)
+    assert tables.meters.estimate_kw[0] == pytest.approx(-drawn.real * KW)
+    v = buses.vm_pu[at] * np.exp(1j * np.radians(buses.va_deg[at]))
+    assert tables.meters.estimate_pu[1] == pytest.approx(abs(v[0] - v[1]))
+    sigma = np.ones(len(buses))
+    made = make_bus_table(
+        find_state(network, result.vm, result.va), [""] * len(buses), {}, sigma, sigma, np.ones((2, len(buses)))
+    )
+    np.testing.assert_array_equal(np.isnan(made.sigma_vm_kv), ~buses.grounded)
