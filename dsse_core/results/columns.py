@@ -47,20 +47,18 @@ class BusColumns:
     slack"""
     name: Texts
     phase: Texts
-    """name in the network file, phase, `abc` in a balanced network"""
+    """name in the network file, phase"""
     vm_pu: Numbers
     va_deg: Numbers
     vm_kv: Numbers
-    """the estimated voltage, of areas that of the owner; of a power flow the true one; kV of a phase to ground, of
-    `abc` between lines"""
+    """the estimated voltage, of areas that of the owner; of a power flow the true one"""
     p_kw: Numbers
     q_kvar: Numbers
     """injection, generation minus load; the power of its shunt is a loss"""
     unbalance_percent: Numbers | None = None
-    """negative by positive sequence of the bus' voltages, empty without a, b and c; only with phases"""
+    """negative by positive sequence of the bus; only with phases, as the next"""
     grounded: Truths | None = None
-    """false where nothing joins the bus to ground: only voltages between its phases and sums of their powers are
-    determined, those to ground and of one phase are a convention without standard deviation; only with phases"""
+    """false without path to ground: only voltages between phases, and sums of powers, mean anything"""
     sigma_vm_kv: Numbers
     sigma_p_kw: Numbers
     sigma_q_kvar: Numbers
@@ -97,12 +95,11 @@ class BranchColumns:
     """the same at its to end, in A of that side"""
     loss_kw: Numbers
     loss_kvar: Numbers
-    """sum of both ends, charging included; of one phase of coupled or transformed ones only the sum over the phases is
-    a loss"""
+    """sum of both ends, charging included; of coupled phases only the total is a loss"""
     loading_percent: Numbers
     """larger current of the two ends by `rating_a`, or apparent power by `rating_mva`; empty without a rating"""
     neutral_a: Numbers | None = None
-    """magnitude of the sum of the currents of all phases at the from end; only with phases"""
+    """current that returns at the from end: sum of all phases; only with phases"""
     sigma_p_from_kw: Numbers
     sigma_q_from_kvar: Numbers
     sigma_i_from_a: Numbers
