@@ -114,10 +114,12 @@ def columns_of(cls: Any, items: Sequence[Any]) -> dict[str, Any]:
 
 
 def _column_of(key: str, items: Sequence[Any]) -> Sequence[Any]:
+    column: Sequence[Any]
     if isinstance(items, Records):
         given: Sequence[Any] | np.ndarray = items.columns.get(key, ())
-        return given.tolist() if isinstance(given, np.ndarray) else given
-    column = list(map(attrgetter(key), items))
+        column = given.tolist() if isinstance(given, np.ndarray) else given
+    else:
+        column = list(map(attrgetter(key), items))
     if column and (write := _WRITE.get(type(column[0]))):
         return list(map(write, column))
     is_enumeration = bool(column) and isinstance(column[0], StrEnum)

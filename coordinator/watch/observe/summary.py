@@ -67,7 +67,7 @@ def summarise(tables: Tables, known: GridTables | None) -> Summary:
     if known is None or tables.branches is None:
         return Summary(voltage, residual, limits=limits)
     buses, branches = tables.buses, tables.branches
-    ids, fresh, used = branches.branch, branches.fresh, branches.in_service
+    ids, fresh, used = name_by_phase(branches.branch, branches.phase), branches.fresh, branches.in_service
     rated = used & known.is_rated
     current = np.fmax(branches.i_from_a, branches.i_to_a)
     slack = known.scenario.network.slack

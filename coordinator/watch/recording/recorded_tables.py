@@ -73,6 +73,7 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
     "buses": _ESTIMATE
     | {
         "bus": INTEGER,
+        "phase": TEXT,
         "vm_pu": NUMBER,
         "va_deg": NUMBER,
         "sigma_vm_pu": NUMBER,
@@ -84,7 +85,7 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
     }
     | _NUMBERS,
     "branches": _ESTIMATE
-    | {"branch": TEXT, "from_bus": INTEGER, "to_bus": INTEGER}
+    | {"branch": TEXT, "from_bus": INTEGER, "to_bus": INTEGER, "phase": TEXT}
     | dict.fromkeys((*FLOWS, "loading_percent"), NUMBER)
     | _NUMBERS,
     "readings": _WHOSE
@@ -104,8 +105,8 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
 ADDED: Mapping[str, tuple[str, ...]] = {
     "readings": ("estimate", "normalised_residual"),
     "states": ("split", "split_at", "split_edited"),
-    "buses": ("injection_problem", *_NUMBERS),
-    "branches": tuple(_NUMBERS),
+    "buses": ("injection_problem", *_NUMBERS, "phase"),
+    "branches": (*_NUMBERS, "phase"),
 }
 """Table -> columns that files of earlier recorders lack."""
 
@@ -220,11 +221,12 @@ class RowMaker:
     def _describe_estimate(self, at: float, state: StateMessage) -> dict[str, list[dict[str, Any]]]:
         """Rows of ``buses`` and ``branches`` without their column ``final``."""
         whose = _whose(at, state) | {"estimate": state.header.sequence}
-        columns = state.buses, state.vm, state.va, state.sigma_vm, state.sigma_va
-        names = "bus", "vm_pu", "va_deg", "sigma_vm_pu", "sigma_va_deg"
+        columns = state.nodes, state.vm, state.va, state.sigma_vm, state.sigma_va
+        names = "bus", "phase", "vm_pu", "va_deg", "sigma_vm_pu", "sigma_va_deg"
         buses = [
-            whose | dict(zip(names, (bus, vm, _degrees(va, state), s_vm, _degrees(s_va, state)), strict=True))
-            for bus, vm, va, s_vm, s_va in zip(*columns, strict=True)
+            whose
+            | dict(zip(names, (bus, phase or None, vm, _degrees(va, state), s_vm, _degrees(s_va, state)), strict=True))
+            for (bus, phase), vm, va, s_vm, s_va in zip(*columns, strict=True)
         ]
         area = self._areas.get(state.header.sender)
         if area is None or not buses:
@@ -233,14 +235,17 @@ class RowMaker:
             of_buses, of_branches = make_area_flows(area, state)
         except InvalidInputError:  # the area has been changed, and the file has not
             return {"buses": buses, "branches": []}
-        place = {int(bus): k for k, bus in enumerate(of_buses["bus"])}
+        place = {node: k for k, node in enumerate(area.network.nodes)}
         for row in buses:
-            at_bus = place[row["bus"]]
-            row |= {key: float(of_buses[key][at_bus]) for key in ("vm_kv", "p_kw", "q_kvar")}
-            row["injection_problem"] = of_buses.injection_problem[at_bus] or None
+            at = place[row["bus"], row["phase"] or ""]
+            row |= {key: float(of_buses[key][at]) for key in ("vm_kv", "p_kw", "q_kvar")}
+            row["injection_problem"] = of_buses.injection_problem[at] or None
         keys = "branch", "from_bus", "to_bus", *FLOWS, "loading_percent"
         values = zip(*(list(of_branches[key]) for key in keys), strict=True)
-        return {"buses": buses, "branches": [whose | dict(zip(keys, row, strict=True)) for row in values]}
+        branches = [whose | dict(zip(keys, row, strict=True)) for row in values]
+        for row, phase in zip(branches, of_branches.phase, strict=True):
+            row["phase"] = phase if state.phases else None
+        return {"buses": buses, "branches": branches}
 
 
 def _check_entry(entry: Entry, run: str) -> None:
@@ -274,7 +279,9 @@ def _place_of(state: StateMessage) -> tuple[Incarnation, int]:
 
 
 def _has_same_estimate(one: StateMessage, other: StateMessage) -> bool:
-    estimates = ((s.buses, s.vm, s.va, s.sigma_vm, s.sigma_va, s.referenced, _place_of(s)) for s in (one, other))
+    estimates = (
+        (s.buses, s.phases, s.vm, s.va, s.sigma_vm, s.sigma_va, s.referenced, _place_of(s)) for s in (one, other)
+    )
     return next(estimates) == next(estimates)
 
 

@@ -17,6 +17,7 @@ from agents.messages.checks import BusId, Count, Digest, Integer, MessageError, 
 from agents.messages.keys import NAME
 from agents.messages.packing import MAX_BYTES, ReadingsMessage, StateMessage
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.nodes import PHASE
 
 LATEST = 253_402_300_800.0  # s since 1970: the year 10000, where calendars end; so long before 1970 is the earliest
 LARGEST_ANGLE = math.radians(sys.float_info.max)  # rad, a number in degrees, too
@@ -25,6 +26,7 @@ LONGEST_TEXT = 6 * MAX_BYTES  # characters of JSON: the largest message of the b
 Time = Annotated[float, Meta(ge=-LATEST, lt=LATEST)]
 AnyName = Annotated[str, Meta(pattern=rf"\A{NAME.pattern}\Z")]  # of a run or an area
 Process = Annotated[str, Meta(pattern=r"\A[0-9a-f]{1,14}-[0-9a-f]{8,14}\Z")]  # an incarnation
+Phase = Annotated[str, Meta(pattern=rf"\A({PHASE})\Z")]
 Details = Annotated[str, Meta(max_length=LONGEST_TEXT)]
 
 _WHOSE = {"time": Time, "scan": Count, "area": AnyName, "incarnation": Process}
@@ -71,6 +73,7 @@ TYPES: Mapping[str, Mapping[str, Any]] = {
     | {
         "estimate": Count,
         "bus": BusId,
+        "phase": Phase | None,
         "vm_pu": Number,
         "va_deg": Number | None,
         "sigma_vm_pu": Number,
@@ -83,8 +86,8 @@ TYPES: Mapping[str, Mapping[str, Any]] = {
 _GIVEN = ("value", "sigma", "measured_at")  # of each meter
 _DESCRIBED = ("estimate", "normalised_residual")  # together or not at all
 _ONCE = {"readings": ("time", "area", "incarnation", "sequence"), "buses": ("time", "area", "incarnation", "estimate")}
-"""Table -> columns of the message that a row is of, in which each meter or bus stands once."""
-_ID = {"readings": "meter", "buses": "bus"}
+"""Table -> columns of the message that a row is of, in which each meter or node stands once."""
+_ID = {"readings": ("meter",), "buses": ("bus", "phase")}
 _PLACE = re.compile(r"^(.*) - at `\$\[([0-9]+)\]\[([0-9]+)\](.*)`$", re.DOTALL)
 
 
@@ -98,8 +101,8 @@ class RowCheck:
         self._columns = tuple(columns)
         self._count = 0  # of rows up to now
         place = {name: k for k, name in enumerate(columns)}
-        once = place.keys() >= {_ID.get(table, ""), *_ONCE.get(table, ())}
-        self._id = place.get(_ID.get(table, ""), 0)
+        once = place.keys() >= {*_ID.get(table, ("",))[:1], *_ONCE.get(table, ())}
+        self._id = [place[name] for name in _ID.get(table, ()) if name in place]
         self._message = itemgetter(*(place[name] for name in _ONCE[table])) if table in _ID and once else None
         self._given = [place[name] for name in _GIVEN if table == "readings" and name in place and "meter" in place]
         self._described = [place[name] for name in _DESCRIBED if table == "readings" and name in place]
@@ -126,24 +129,26 @@ class RowCheck:
         self._count += len(rows)
 
     def _check_given(self, rows: Sequence[tuple[Any, ...]]) -> None:
-        meter, described = self._id, self._described
+        meter, described = self._id[0], self._described
         for k, row in enumerate(rows):
             for place in self._given:
                 if (row[place] is None) != (row[meter] is None):
                     lack = "missing of meter" if row[place] is None else f"{row[place]} stands without a meter,"
-                    raise self._error(k, self._columns[place], f"{lack} {shown(row[self._id])}")
+                    raise self._error(k, self._columns[place], f"{lack} {shown(row[meter])}")
             if len(described) > 1 and (row[described[0]] is None) != (row[described[1]] is None):
                 names = " and ".join(_DESCRIBED)
                 raise self._error(k, self._columns[self._described[1]], f"{names} go together, and one is missing")
 
     def _check_once(self, rows: Sequence[tuple[Any, ...]], message_of: Callable[[tuple[Any, ...]], Any]) -> None:
-        place, last, seen = self._id, self._last, self._seen
+        places, last, seen = self._id, self._last, self._seen
         for k, row in enumerate(rows):
             if (message := message_of(row)) != last:
                 last, seen = message, set()
-            if row[place] in seen:
-                raise self._error(k, self._columns[place], f"{shown(row[place])} stands twice in one message")
-            seen.add(row[place])
+            at = tuple(row[place] for place in places)
+            if at in seen:
+                named = at[0] if at[-1] is None else ".".join(map(str, at))
+                raise self._error(k, self._columns[places[0]], f"{shown(named)} stands twice in one message")
+            seen.add(at)
         self._last, self._seen = last, seen
 
     def _error(self, row: int, column: str, what: str) -> InvalidInputError:

@@ -229,7 +229,7 @@ _SAME = tuple(
 )
 
 
-_OF_BUSES = ("bus", "vm_pu", "va_deg", "sigma_vm_pu", "sigma_va_deg")
+_OF_BUSES = ("bus", "phase", "vm_pu", "va_deg", "sigma_vm_pu", "sigma_va_deg")
 _WHOSE_READINGS = ("area", "incarnation", "scan", "sequence", "taken_at", "time")
 _OF_READINGS = ("meter", "value", "sigma", "measured_at", "estimate", "normalised_residual")
 NEEDED: Mapping[str, Sequence[str]] = {
@@ -241,10 +241,13 @@ NEEDED: Mapping[str, Sequence[str]] = {
 
 
 def _with_buses(state: Update, rows: Iterable[tuple[Any, ...]]) -> Update:
-    if not isinstance(state, StateMessage) or not (found := {row[0]: row for row in rows}):
+    if not isinstance(state, StateMessage) or not (found := {row[:2]: row for row in rows}):
         return state
-    buses, vm, va, sigma_vm, sigma_va = zip(*found.values(), strict=True)
-    return replace(state, buses=buses, vm=vm, va=_radians(va), sigma_vm=sigma_vm, sigma_va=_radians(sigma_va))
+    buses, phases, vm, va, sigma_vm, sigma_va = zip(*found.values(), strict=True)
+    phases = tuple(phase or "" for phase in phases) if any(phases) else ()
+    return replace(
+        state, buses=buses, phases=phases, vm=vm, va=_radians(va), sigma_vm=sigma_vm, sigma_va=_radians(sigma_va)
+    )
 
 
 def _radians(angles: Iterable[float | None]) -> tuple[float, ...]:

@@ -144,7 +144,7 @@ def _compare(found: Comparison, tick: Tick, states: Mapping[str, StateMessage]) 
     found.scans += 1
     for area, recorded in tick.estimates.items():
         state = states.get(area)
-        if state is None or state.header.scan != tick.scan or set(state.buses) != set(recorded.buses):
+        if state is None or state.header.scan != tick.scan or set(state.nodes) != set(recorded.nodes):
             if recorded.quality == GOOD:
                 found.missing.append((tick.scan, area))
             continue
@@ -162,8 +162,8 @@ def _find_differences(recorded: Estimate, state: StateMessage) -> np.ndarray:
     """Largest difference of each of the four quantities, shape (4,); infinite where angles have a reference in one of
     the two states alone.
     """
-    place = {bus: k for k, bus in enumerate(state.buses)}
-    order = [place[bus] for bus in recorded.buses]
+    place = {node: k for k, node in enumerate(state.nodes)}
+    order = [place[node] for node in recorded.nodes]
     played = np.array([state.vm, state.va, state.sigma_vm, state.sigma_va], dtype=float)[:, order]
     played[[1, 3]] = np.degrees(played[[1, 3]]) if state.referenced else np.nan
     both_unknown = np.isnan(played) & np.isnan(recorded.values)

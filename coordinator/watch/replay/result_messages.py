@@ -19,8 +19,10 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import LARGEST_JSON, read_text
 from dsse_core.files.bounded_parsing import parse_json
 from dsse_core.grid.measurement import Meter, Source
+from dsse_core.grid.nodes import name_node
 from dsse_core.grid.partition import Area
 from dsse_core.results.meters import CRITICAL, REMOVED, UNITS, find_unit_sizes
+from dsse_core.results.table import PHASE
 from scenarios.files.readings.file import read_time
 from scenarios.scenario import Scenario
 
@@ -32,15 +34,17 @@ OF_METERS = ("value", "sigma", "estimate")  # columns with the unit in their nam
 BAD_DATA_LEFT = "bad data are left: J exceeds its limit, and no meter stands out"
 
 Voltages = tuple[float, float, float, float]
-"""OF_BUSES of a bus; nan where not known."""
+"""OF_BUSES of a node; nan where not known."""
 
 
 @dataclass
 class _Scan:
-    """Rows of one scan: ``buses`` by id, ``meters`` by id with OF_METERS in their units and the normalised residual."""
+    """Rows of one scan: ``nodes`` by bus and phase, "" in a balanced network, ``meters`` by id with OF_METERS in their
+    units and the normalised residual.
+    """
 
     time: float
-    buses: dict[int, Voltages] = field(default_factory=dict)
+    nodes: dict[tuple[int, str], Voltages] = field(default_factory=dict)
     meters: dict[str, tuple[float, ...]] = field(default_factory=dict)
     status: dict[str, str] = field(default_factory=dict)
     quality: dict[str, str] = field(default_factory=dict)
@@ -64,9 +68,10 @@ def read_result_messages(folder: Path, scenario: Scenario, notes: list[str]) -> 
         InvalidInputError: a table cannot be read, or is none of a network with these buses.
     """
     scans = _read_scans(folder)
-    known = {bus.id for bus in scenario.network.buses}
-    if strange := {bus for scan in scans.values() for bus in scan.buses} ^ known:
-        problem = f"its buses are not those of {scenario.name!r}: {min(strange)}; give the scenario of these results"
+    known = set(scenario.network.nodes)
+    if strange := {node for scan in scans.values() for node in scan.nodes} ^ known:
+        name = name_node(*min(strange))
+        problem = f"its buses are not those of {scenario.name!r}: {name}; give the scenario of these results"
         raise InvalidInputError(str(folder / BUSES), [problem])
     maker = _Messages(scenario)
     has_times = not any(math.isnan(scan.time) for scan in scans.values())
@@ -117,10 +122,14 @@ class _Messages:
         )
 
     def _make_state(self, header: Header, area: Area, scan: _Scan) -> StateMessage:
-        buses = tuple(bus.id for bus in area.network.buses)
-        vm, va, sigma_vm, sigma_va = zip(*(scan.buses[bus] for bus in buses), strict=True)
+        network = area.network
+        vm, va, sigma_vm, sigma_va = zip(*(scan.nodes[node] for node in network.nodes), strict=True)
         is_known = not any(map(math.isnan, (*vm, *va)))  # flows follow only from angles that all have one reference
-        columns = (buses, vm, _radians(va), _known(sigma_vm), _radians(_known(sigma_va))) if is_known else ((),) * 5
+        columns = (
+            (network.node_buses, vm, _radians(va), _known(sigma_vm), _radians(_known(sigma_va)))
+            if is_known
+            else ((),) * 5
+        )
         own = [meter.id for meter in self._meters[area.name]]
         neighbours = [neighbour.area for neighbour in area.neighbours]
         return StateMessage(
@@ -146,6 +155,7 @@ class _Messages:
             scans=dict.fromkeys(neighbours, header.scan),
             old_sides=(),
             taken_at=header.time,
+            phases=network.node_phases if is_known else (),
         )
 
 
@@ -158,12 +168,13 @@ def _radians(angles: Sequence[float]) -> tuple[float, ...]:
 
 
 def _read_scans(folder: Path) -> dict[str, _Scan]:
-    """The scans in the tables, by name, in the order of the buses."""
+    """The scans in the tables, by name, in the order of the nodes."""
     scans: dict[str, _Scan] = {}
-    for row in _Rows(folder / BUSES, ("bus", "scan", "time", *OF_BUSES)):
+    for row in _Rows(folder / BUSES, ("bus", "phase", "scan", "time", *OF_BUSES)):
         scan = scans.setdefault(row.text("scan"), _Scan(read_time(row.text("time"))))
         vm, va, sigma_vm, sigma_va = map(row.number, OF_BUSES)
-        scan.buses[int(row.number("bus"))] = vm, va, sigma_vm, sigma_va
+        phase = row.text("phase")
+        scan.nodes[int(row.number("bus")), "" if phase == PHASE else phase] = vm, va, sigma_vm, sigma_va
     if not scans:
         raise InvalidInputError(str(folder / BUSES), ["there is no row; give the folder of other results"])
     in_units = [f"{name}_{unit}" for name in OF_METERS for unit in UNITS]

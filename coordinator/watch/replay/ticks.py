@@ -21,7 +21,7 @@ _WHOSE = ("time", "scan", "area", "incarnation")
 NEEDED: Mapping[str, Sequence[str]] = {
     "readings": (*_WHOSE, "sequence", "taken_at", "meter", "value", "sigma"),
     "states": (*_WHOSE, "estimate", "estimated", "quality"),
-    "buses": (*_WHOSE, "estimate", "bus", *ESTIMATED),
+    "buses": (*_WHOSE, "estimate", "bus", "phase", *ESTIMATED),
     "events": ("event", "details"),
 }
 
@@ -40,16 +40,16 @@ class Snapshot:
 class Estimate:
     """The recorded estimate of an area of a scan.
 
-    ``values``, shape (4, n_bus): magnitude p.u. and angle deg of ``buses``, and the standard deviations of both; nan
-    where angles have no reference.
+    ``values``, shape (4, n_nodes): magnitude p.u. and angle deg of ``nodes``, buses with a phase, "" in a balanced
+    network, and the standard deviations of both; nan where angles have no reference.
     """
 
     quality: str
-    buses: tuple[int, ...]
+    nodes: tuple[tuple[int, str], ...]
     values: np.ndarray
 
     def __repr__(self) -> str:
-        return f"<Estimate of {len(self.buses)} buses, {self.quality}>"
+        return f"<Estimate of {len(self.nodes)} nodes, {self.quality}>"
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +123,7 @@ def _take(scans: dict[int, _Scan], table: str, row: dict[str, Any], notes: list[
         return
     key = area, row["incarnation"], row["estimate"]
     if table == "buses":
-        found.buses.setdefault(key, []).append((row["bus"], *(row[name] for name in ESTIMATED)))
+        found.buses.setdefault(key, []).append(((row["bus"], row["phase"] or ""), *(row[name] for name in ESTIMATED)))
     elif row["estimated"] and stands_for_scan(row["quality"], found.shown.get(area, ((), ""))[1]):
         found.shown[area] = key, row["quality"]
 
