@@ -55,6 +55,7 @@ TYPES = {
     "Milliseconds": "number >= 0",
     "Moment": "number >= 0",
     "Name": "text",
+    "Phases": "text",
     "Seconds": "number > 0",
     "Sigma": "number > 0",
     "Taps": "number > 0, or list of numbers",

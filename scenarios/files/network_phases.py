@@ -10,7 +10,16 @@ import numpy as np
 
 from dsse_core.grid.loads import Load
 from dsse_core.grid.nodes import Primitive, explain_phases, list_phases, read_phases
-from dsse_core.grid.physical_ranges import ADMITTANCE, BASE_VOLTAGE, EXPONENT, IMPEDANCE, TAP, Range
+from dsse_core.grid.physical_ranges import (
+    ADMITTANCE,
+    BASE_POWER,
+    BASE_VOLTAGE,
+    EXPONENT,
+    IMPEDANCE,
+    PORT_ADMITTANCE,
+    TAP,
+    Range,
+)
 from dsse_core.grid.primitives import (
     NEUTRAL,
     Connection,
@@ -21,6 +30,7 @@ from dsse_core.grid.primitives import (
     connect,
     find_size,
 )
+from dsse_core.printable import listed
 from scenarios.files.network_columns import share_of_power
 from scenarios.files.network_tables import (
     IMPEDANCES,
@@ -206,18 +216,22 @@ def _fill(rows: Matrix, n: int, of: str, key: str, place: _Place) -> np.ndarray:
 def _read_bank(table: TransformerTable, place: _Place) -> Primitive:
     before, windings = len(place.problems), table.windings
     if len(windings) != 2:
-        joined = ", ".join(str(bus) for bus in dict.fromkeys(winding.bus for winding in windings))
+        joined = listed(dict.fromkeys(winding.bus for winding in windings))
         problem = f"{len(windings)} windings at bus {joined}; a bank has two, and no element joins three buses"
         place.refuse("windings", problem)
         return _without_value(windings[0].phases, windings[-1].phases)
     at_from, at_to = (_read_side(winding, table, k, place) for k, winding in enumerate(windings))
-    if not table.r_percent and not table.x_percent:
-        place.refuse("x_percent", "with r_percent it is 0; give the bank an impedance")
+    place.check(BASE_POWER, "kva", table.kva / 1000)
     if len(place.problems) == before and len(at_from.legs) != len(at_to.legs):
         place.refuse("windings", f"{len(at_from.legs)} and {len(at_to.legs)} windings; each unit has one at both sides")
     if len(place.problems) > before:
         return _without_value(windings[0].phases, windings[1].phases)
-    z = complex(table.r_percent, table.x_percent) / 100 / (table.kva / 1000 / len(at_from.legs) / (place.base_mva / 3))
+    of_unit = table.kva / 1000 / len(at_from.legs) / (place.base_mva / 3)
+    z = complex(table.r_percent / 100 / of_unit, table.x_percent / 100 / of_unit)
+    if not 1 / PORT_ADMITTANCE.most <= abs(z) <= IMPEDANCE.most:
+        limits = f"{1 / PORT_ADMITTANCE.most:g} and {IMPEDANCE.most:g}"
+        place.refuse("x_percent", f"the impedance of a unit is {abs(z):g} p.u.; it must lie between {limits}")
+        return _without_value(windings[0].phases, windings[1].phases)
     return build_centre_tapped(at_from, at_to, z) if at_to.legs == HALVES else build_bank(at_from, at_to, 1 / z)
 
 
@@ -306,6 +320,8 @@ def _read_legs(table: LoadTable, place: _Place) -> list[Load]:
         if len(powers[-1]) != len(legs):
             place.refuse(key, f"has {len(powers[-1])} numbers; phases {table.phases!r} are {len(legs)} legs")
     place.check(EXPONENT, "exponents", table.exponents)
+    if table.kv is not None:
+        place.check(BASE_VOLTAGE, "kv", table.kv)
     if len(place.problems) > before:
         return []
     of_p, of_q = table.exponents

@@ -13,16 +13,19 @@ from dsse_core.files.strict_table import ColumnsTable, FileTable, Table
 from dsse_core.grid.nodes import PHASES
 from dsse_core.limits import LONGEST_NAME, Positive
 
-ZERO_OHM, ZERO_PU = {"r0_ohm", "x0_ohm", "b0_us"}, {"r0_pu", "x0_pu", "b0_pu"}
+ZERO = {"r0_ohm", "x0_ohm", "b0_us"}
 NOTHING = (None,) * 4
 IMPEDANCES = {f"{letter}_{unit}" for letter, unit in (*product("rx", ("ohm", "pu")), *product("bg", ("us", "pu")))}
-IMPEDANCES |= ZERO_OHM | ZERO_PU
+IMPEDANCES |= ZERO
 PORTS = {"g_ports_pu", "b_ports_pu", "g_charging_pu", "b_charging_pu"}
-OF_PHASES = {"phases", "to_phases"} | ZERO_OHM | ZERO_PU | PORTS  # keys that branches of balanced networks lack
+OF_PHASES = {"phases", "to_phases"} | ZERO | PORTS  # keys that branches of balanced networks lack
 WHOLE_PORTS = "g_ports_pu and b_ports_pu stand together, and in place of an impedance"
 MIXED = "mixes ohm and microsiemens with r_pu/x_pu/b_pu/g_pu; give all of them in one of the two units"
 TWO_RATINGS = "has two ratings; give rating_a for a line or rating_mva for a transformer"
 NO_IMPEDANCE = "has no complete impedance; give r_ohm and x_ohm, or r_pu and x_pu"
+
+
+Phases = Annotated[str, Field(max_length=LONGEST_NAME)]
 
 
 class BusTable(Table):
@@ -34,14 +37,16 @@ class BusTable(Table):
     """Nominal voltage."""
     name: str = ""
     """For readers."""
-    phases: str = Field(default="", description='phases such as "abc", each a node; without phases the bus is balanced')
+    phases: Phases = Field(
+        default="", description='phases such as "abc", each a node; without phases the bus is balanced'
+    )
     """Phases such as `"abc"` or `"s1s2"`, a node each; in a network with phases each bus has its own."""
     p_load_mw: float = 0.0
     """Load, constant power."""
     q_load_mvar: float = 0.0
     """Load, constant power."""
     g_shunt_mw: float = Field(default=0.0, description="MW that the shunt consumes at 1 p.u. voltage")
-    """Consumption of the shunt at 1 p.u. voltage."""
+    """Consumption of the shunt at 1 p.u. voltage, with phases of all of them, alike."""
     b_shunt_mvar: float = Field(default=0.0, description="Mvar that the shunt produces at 1 p.u. voltage")
     """Production of the shunt at 1 p.u. voltage: positive for a capacitor."""
     x: float | None = Field(default=None, description="place of the bus on a map, to the east, in any unit")
@@ -80,14 +85,14 @@ def has_one_complete_impedance(given: Form) -> Form:
     Raises:
         ValueError: the impedance is incomplete, or in both units.
     """
-    zero = frozenset[str]() if isinstance(given, BranchColumns) else frozenset(given.model_fields_set)
-    if isinstance(given, BranchTable) and (ports := zero & PORTS):
-        if None in (given.g_ports_pu, given.b_ports_pu) or zero & IMPEDANCES:
+    keys = frozenset[str]() if isinstance(given, BranchColumns) else frozenset(given.model_fields_set)
+    if isinstance(given, BranchTable) and (ports := keys & PORTS):
+        if None in (given.g_ports_pu, given.b_ports_pu) or keys & IMPEDANCES:
             raise ValueError(f"has {', '.join(sorted(ports))}; {WHOLE_PORTS}")
         return given
     ohm = (given.r_ohm, given.x_ohm, given.b_us, given.g_us)
     pu = (given.r_pu, given.x_pu, given.b_pu, given.g_pu)
-    if (ohm != NOTHING or zero & ZERO_OHM) and (pu != NOTHING or zero & ZERO_PU):
+    if (ohm != NOTHING or keys & ZERO) and pu != NOTHING:
         raise ValueError(MIXED)
     if None in ohm[:2] and None in pu[:2]:
         raise ValueError(NO_IMPEDANCE)
@@ -109,7 +114,7 @@ class BranchTable(Table):
     """At most 64 lower-case letters, digits, `_` and `-`; `from-to` if left out, e.g. `3-4`, and for parallel
     branches `3-4#2`, `3-4#3`.
     """
-    phases: str = Field(default="", description='phases that the branch joins, such as "bc"')
+    phases: Phases = Field(default="", description='phases that the branch joins, such as "bc"')
     """Phases that the branch joins, such as `"bc"`; required where buses have phases. `r`, `x`, `b`, `g` are then the
     rows of lower triangles, `[[0.3], [0.1, 0.3]]`, or a number for each phase, alike and not coupled.
     """
@@ -130,29 +135,21 @@ class BranchTable(Table):
     g_pu: Matrix | None = Field(default=None, description="total leakage or iron losses in p.u.")
     """Total leakage or iron losses; 0 if left out."""
     r0_ohm: float | None = None
-    """Zero sequence beside a number `r_ohm` with `phases`, and so on; equal to it if left out."""
+    """Zero sequence beside a number `r_ohm`; equal to it if left out."""
     x0_ohm: float | None = None
-    """Zero sequence beside a number `x_ohm`."""
+    """Likewise."""
     b0_us: float | None = None
-    """Zero sequence beside a number `b_us`."""
-    r0_pu: float | None = None
-    """Zero sequence beside a number `r_pu`."""
-    x0_pu: float | None = None
-    """Zero sequence beside a number `x_pu`."""
-    b0_pu: float | None = None
-    """Zero sequence beside a number `b_pu`."""
+    """Likewise."""
     g_ports_pu: Triangle | None = None
-    """With `b_ports_pu`, in place of an impedance: conductances over the phases at `from`, then those at `to`, of a
-    branch of any kind. Saved networks have them.
-    """
+    """In place of an impedance, as in saved networks: conductances over the phases at `from`, then at `to`."""
     b_ports_pu: Triangle | None = None
-    """Susceptances, see `g_ports_pu`."""
+    """Susceptances."""
     g_charging_pu: Triangle | None = None
-    """The part of `g_ports_pu` that draws current without load; 0 if left out."""
+    """Part of them that draws current without load."""
     b_charging_pu: Triangle | None = None
-    """The part of `b_ports_pu` that draws current without load; 0 if left out."""
-    to_phases: str = Field(default="", description="phases at the to end, beside g_ports_pu, where they are others")
-    """Phases at `to`, beside `g_ports_pu`; `phases` if left out."""
+    """Likewise."""
+    to_phases: Phases = Field(default="", description="phases at the to end, beside g_ports_pu, where they are others")
+    """Phases at `to`, where others, beside `g_ports_pu`."""
     tap_ratio: Positive = Field(default=1.0, description="divides the from-side voltage; 1.0 for a line")
     """Divides the from-side voltage: without load `v_to = v_from / tap_ratio`."""
     shift_deg: float = 0.0
@@ -185,7 +182,7 @@ class LoadTable(Table):
 
     bus: int = Field(description="id of the bus where the load stands")
     """Bus where the load stands."""
-    phases: str = Field(description='a leg, "bc" between b and c, "b" from b to ground; or several, "ab,bc,ca"')
+    phases: Phases = Field(description='a leg, "bc" between b and c, "b" from b to ground; or several, "ab,bc,ca"')
     """The legs: `"bc"` is a leg between b and c, `"b,c"` two legs to ground, `"ab,bc,ca"` a delta."""
     p_kw: list[float] | None = None
     """Power drawn by each leg; 0 if left out."""
@@ -204,11 +201,11 @@ class WindingTable(Table):
 
     bus: int = Field(description="id of the bus at this side")
     """Bus at this side."""
-    phases: str = Field(description='phases of the bus that the bank joins, such as "abc"')
+    phases: Phases = Field(description='phases of the bus that the bank joins, such as "abc"')
     """Phases of the bus that the bank joins."""
     kv: Positive = Field(description="rated voltage between lines; of a winding to ground 3^0.5 times that across it")
     """Rated voltage between lines; of a winding to ground 3^0.5 times the voltage across it."""
-    connection: str = Field(description="'grounded wye', 'wye', 'delta', 'centre-tapped', or the windings, 'ab,bc'")
+    connection: Phases = Field(description="'grounded wye', 'wye', 'delta', 'centre-tapped', or the windings, 'ab,bc'")
     """`"grounded wye"`, `"wye"` with a free star point, `"delta"`, or where each winding stands: `"ab,bc"` is an open
     delta, `"an,bn,cn"` a wye. `"centre-tapped"` of a second side with phases `s1s2`: two interlaced halves.
     """
@@ -253,7 +250,7 @@ class BusColumns(ColumnsTable):
     id: list[int] = Field(min_length=1, description="the numbers of the buses, each its own in the network")
     base_kv: list[Positive] = Field(description="nominal voltages in kV")
     name: list[str] | None = None
-    phases: list[str] | None = None
+    phases: list[Phases] | None = None
     p_load_mw: list[float] | None = None
     q_load_mvar: list[float] | None = None
     g_shunt_mw: list[float] | None = None

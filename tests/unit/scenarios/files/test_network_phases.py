@@ -221,7 +221,10 @@ def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
             ("r_ohm = 2.4", "tap_ratio = 1.1, r_ohm = 2.4"),
             "branch[1].tap_ratio: a branch with phases is a line; give a",
         ),
-        (("r_ohm = 2.4", "r0_pu = 1.1, r_ohm = 2.4"), "branch[1]: mixes ohm and microsiemens with"),
+        (
+            ("r_ohm = 2.4, x_ohm = 4.8, b_us = 3.0", "r0_ohm = 1.1, r_pu = 1, x_pu = 1"),
+            "branch[1]: mixes ohm and microsiemens with",
+        ),
         (
             ("r_ohm = 2.4", "g_ports_pu = [[1.0]], r_ohm = 2.4"),
             "branch[1]: has g_ports_pu; g_ports_pu and b_ports_pu stand together",
@@ -255,6 +258,12 @@ def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
             ("x_percent = 6.0", "x_percent = 6.0\nclock = 0"),
             "transformer[1].clock: is 0; of 'delta' to 'grounded wye' it is 1 or 5 or",
         ),
+        (
+            ("r_percent = 1.0\nx_percent = 6.0", "r_percent = 0.0\nx_percent = 0.0"),
+            "transformer[1].x_percent: the impedance of a unit is 0 p.u.; it must lie between 1e-09",
+        ),
+        (("kva = 3000.0", "kva = 1e300"), "transformer[1].kva is 1e+297 MVA; it must lie between"),
+        (("kv = 2.0", "kv = 1e-300"), "load[2].kv is 1e-300 kV; it must lie between"),
         (
             (
                 "taps = [1.0, 1.02, 1.05] },",
