@@ -61,7 +61,7 @@ def warm_up_estimate() -> None:
     """Go once through estimate and bad data of a whole radial network, and note where their code is kept."""
     flow = solve_power_flow(NETWORK)
     meters = [Meter(MeasurementKind.VM, bus.id) for bus in NETWORK.buses]
-    meters += [Meter(kind, bus.id) for bus in NETWORK.buses for kind in MeasurementKind if kind.of_injection]
+    meters += [Meter(kind, bus.id) for bus in NETWORK.buses for kind in INJECTIONS]
     meters += [Meter(kind, b.from_bus, b.id) for b in NETWORK.branches for kind in MeasurementKind if kind.of_branch]
     readings = [Measurement(m, float(value), SIGMA) for m, value in zip(meters, flow.read_all(meters), strict=True)]
     bad = [replace(readings[0], value=readings[0].value + 100 * SIGMA), *readings[1:]]

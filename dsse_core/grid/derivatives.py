@@ -8,7 +8,7 @@ import numpy as np
 
 from dsse_core.code_cache import compiled
 
-ACTIVE, REACTIVE, CURRENT, MAGNITUDE, ANGLE = range(5)  # what a meter reads
+ACTIVE, REACTIVE, CURRENT, MAGNITUDE, ANGLE, REAL, IMAGINARY = range(7)  # what a meter reads
 
 
 @compiled
@@ -57,6 +57,10 @@ def read(kind, u, i, floors):
     if kind == CURRENT:
         size = math.sqrt(i.real**2 + i.imag**2)
         return size, 0j, complex(i.real / size, -i.imag / size) if size > floors[0] else 0j
+    if kind == REAL:
+        return i.real, 0j, 1.0 + 0j
+    if kind == IMAGINARY:
+        return i.imag, 0j, -1j
     size = math.sqrt(u.real**2 + u.imag**2)
     least = max(size, floors[1])
     if kind == MAGNITUDE:

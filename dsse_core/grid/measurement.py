@@ -21,7 +21,11 @@ VIRTUAL_IS = "only an injection of exactly 0 can be virtual"
 
 
 class MeasurementKind(StrEnum):
-    """Flows and currents are measured at one end of a branch and are positive into the branch."""
+    """Flows and currents are measured at one end of a branch and are positive into the branch.
+
+    ``I_REAL``, ``I_IMAG``: Re and Im of the current that enters the network at all phases of a bus, 0 where legs stand
+    between phases only. They have no meter; they are virtual.
+    """
 
     VM = "vm"
     VA = "va"
@@ -30,6 +34,8 @@ class MeasurementKind(StrEnum):
     P_FLOW = "p_flow"
     Q_FLOW = "q_flow"
     CURRENT = "current"
+    I_REAL = "i_real"
+    I_IMAG = "i_imag"
 
     @property
     def of_branch(self) -> bool:
@@ -41,13 +47,19 @@ class MeasurementKind(StrEnum):
 
     @property
     def has_total(self) -> bool:
-        """True for powers, whose phases add up."""
-        return self in _POWERS
+        """True for powers, whose phases add up, and for the current of a bus."""
+        return self in _HAVE_TOTAL
+
+    @property
+    def is_virtual(self) -> bool:
+        """True for quantities that no meter reads."""
+        return self in _OF_BUS_CURRENT
 
 
 _OF_BRANCH = (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW, MeasurementKind.CURRENT)
-_OF_INJECTION = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
-_POWERS = (*_OF_INJECTION, MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW)
+_OF_BUS_CURRENT = (MeasurementKind.I_REAL, MeasurementKind.I_IMAG)
+_OF_INJECTION = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION, *_OF_BUS_CURRENT)
+_HAVE_TOTAL = (*_OF_INJECTION, MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW)
 
 
 class Source(StrEnum):
@@ -183,6 +195,8 @@ def find_meter_problems(network: Network, meters: Iterable[Meter]) -> Iterable[s
         seen.add(place)
         if meter.source is Source.VIRTUAL and not meter.kind.of_injection:
             yield f"meter {meter.id}: {VIRTUAL_IS}"
+        if meter.source is not Source.VIRTUAL and meter.kind.is_virtual:
+            yield f"meter {meter.id}: no meter reads {meter.kind}; it is 0 by the legs of a bus, and virtual"
         if meter.bus not in row:
             yield f"meter {meter.id}: bus {meter.bus} is not in network {network.name!r}"
         if meter.kind.of_branch:
@@ -207,11 +221,15 @@ def _find_problems_of_phases(network: Network, meter: Meter) -> Iterable[str]:
         at_from = meter.bus == branch.from_bus
         there = branch.primitive.from_phases if at_from else branch.primitive.to_phases
     if not meter.phases and not bus.phases:
+        if meter.kind.is_virtual:
+            yield f"meter {meter.id}: bus {bus.id} has no phases, and so no legs between them"
         return
     wanted, most = list_phases(meter.phases), 1 if meter.kind.of_branch else 2
     if bus.phases and not meter.phases and meter.kind.has_total:
         return
-    if not bus.phases:
+    if meter.kind.is_virtual:
+        yield f"meter {meter.id}: {meter.kind} is that of all phases of a bus; leave them out"
+    elif not bus.phases:
         yield f"meter {meter.id}: bus {bus.id} has no phases; leave them out"
     elif not meter.phases or not 0 < len(wanted) <= most or len(set(wanted)) < len(wanted):
         pair = "" if most == 1 else ", or two"

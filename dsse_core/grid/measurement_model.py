@@ -1,8 +1,9 @@
 """h(x) and H(x): what meters would read in state x, and the derivatives, for every kind of meter.
 
-With the metered node's voltage ``u = C v`` and the metered current ``i = Y v`` one formula serves all kinds:
-``s = u conj(i)`` (P, Q of injections and of both branch ends), ``|i|``, ``|u|`` and ``arg u``. Injections
-and flows differ only in the rows of ``Y`` (a node's or a port's). A total is the mean of the rows of its phases.
+With the metered node's voltage ``u = C v`` and the metered current ``i = Y v + K conj(s / v)`` one formula serves all
+kinds: ``s = u conj(i)`` (P, Q of injections and of both branch ends), ``|i|``, ``Re i``, ``Im i``, ``|u|`` and
+``arg u``. Injections and flows differ only in the rows of ``Y`` (a node's or a port's). A total is the mean of the rows
+of its phases. K counts powers s that leave a node into branches which the network does not have.
 """
 
 from __future__ import annotations
@@ -24,8 +25,38 @@ VOLTAGE_FLOOR = 1e-9  # p.u.; least divisor |u| of the derivatives of |u| and ar
 
 
 @dataclass(frozen=True)
+class CurrentsBeyond:
+    """Currents ``conj(s / v)`` that count in rows, (k,) each: the row, the node, and the place in x of P, before Q."""
+
+    row: np.ndarray
+    node: np.ndarray
+    power: np.ndarray
+
+    def find(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """The currents at x, of voltages ``v`` (n_nodes,)."""
+        return np.asarray((self._find_powers(x) / v[self.node]).conj())
+
+    def find_derivatives(self, x: np.ndarray, v: np.ndarray, of_i: np.ndarray) -> np.ndarray:
+        """The derivatives of the rows by va, vm, P and Q, (4, k), where ``dh = Re(of_i di)``, ``of_i`` (n_row,).
+
+        ``Re(of_i di) = Re(a (ds - s / v dv))`` with ``a = conj(of_i) / v``.
+        """
+        at, n = v[self.node], len(v)
+        a, s = of_i[self.row].conj() / at, self._find_powers(x)
+        return np.array([(a * s).imag, -(a * s).real / x[n + self.node], a.real, -a.imag])
+
+    def list_columns(self, n: int) -> np.ndarray:
+        """The columns of these derivatives, (4, k), in a network of n nodes."""
+        return np.array([self.node, n + self.node, self.power, self.power + 1])
+
+    def _find_powers(self, x: np.ndarray) -> np.ndarray:
+        return np.asarray(x[self.power] + 1j * x[self.power + 1])
+
+
+@dataclass(frozen=True)
 class MeasurementModel:
-    """The measurement functions of ``meters``; ``x = [va; vm]``, shape (2 n_nodes,), rad and p.u.
+    """The measurement functions of ``meters``; ``x = [va; vm]``, shape (2 n_nodes,), rad and p.u.; then powers if some
+    currents are ``beyond`` the network.
 
     ``kinds``: (n_meas,). ``y`` (n_row, n_nodes) holds admittances, ``node`` (n_row,) the node of each row. ``other``
     (n_row,): the node to which its voltage counts, -1 for the ground; None where that is so for all. ``of_meter``
@@ -39,6 +70,7 @@ class MeasurementModel:
     at_node: np.ndarray  # (nnz,): C at the entry's column, 1 at the metered node and -1 at the other one
     other: np.ndarray | None = None
     of_meter: np.ndarray | None = None
+    beyond: CurrentsBeyond | None = None
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """h(x), shape (n_meas,), p.u. and rad."""
@@ -54,48 +86,70 @@ class MeasurementModel:
         return r
 
     def jacobian(self, x: np.ndarray) -> sp.csr_array:
-        """H(x) = dh/dx, shape (n_meas, 2 n_nodes); its pattern is the same for every x."""
+        """H(x) = dh/dx, shape (n_meas, len(x)); its pattern is the same for every x."""
         return self.linearize(x)[1]
 
     def linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
         """h(x) and H(x) at once."""
         h, data = self.linearize_entries(x)
         _, indices, indptr = self._pattern
-        return h, sp.csr_array((data, indices, indptr), shape=(len(self.kinds), 2 * self.y.shape[1]))
+        return h, sp.csr_array((data, indices, indptr), shape=(len(self.kinds), len(x)))
 
     def linearize_entries(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """h(x) and the stored entries of H(x), whose places are the same for every x.
 
         Every meter's ``dh = Re(a dv)`` with ``a = of_u C + of_i Y``: ``ds = conj(i) du + u conj(di)`` and
         ``Re(u conj(di)) = Re(conj(u) di)``, ``d|i| = Re(conj(i) di) / |i|``, ``d|u| = Re(conj(u) du) / |u|``,
-        ``d arg u = Im(conj(u) du) / |u|^2``; ``Im s = Re(-j s)``. And ``dv/dva = j v``, ``dv/dvm = exp(j va)``.
+        ``d arg u = Im(conj(u) du) / |u|^2``; ``Im s = Re(-j s)``, ``Im i = Re(-j i)``. And ``dv/dva = j v``,
+        ``dv/dvm = exp(j va)``.
         """
         u, i, vm, phase = self._phasors(x)
         of_u, of_i = self.weigh(u, i)
         row, column = self.row, self.y.indices
         along = (of_u[row] * self.at_node + of_i[row] * self.y.data) * phase[column]
-        found = np.concatenate([-along.imag * vm[column], along.real])
-        return average(self.read(u, i), self.of_meter), self._join(found)
+        parts = [-along.imag * vm[column], along.real]
+        if self.beyond is not None:
+            parts.append(self.beyond.find_derivatives(x, vm * phase, of_i).ravel())
+        return average(self.read(u, i), self.of_meter), self._join(np.concatenate(parts))
 
     def _join(self, derivatives: np.ndarray) -> np.ndarray:
-        """The entries of H from derivatives by va, then by vm, of all stored entries of y."""
+        """The entries of H from derivatives by va, then by vm, of all stored entries of y, then those ``beyond``."""
         places = self._pattern[0]
-        if self.of_meter is None:
+        if self._has_one_entry_each:
             return np.asarray(derivatives[places])
-        share = 1 / np.bincount(self.of_meter)[self.of_meter[self.row]]
-        return np.bincount(places, derivatives * np.tile(share, 2))
+        return np.bincount(places, derivatives * self.shares[self._rows_of_entries])
+
+    @cached_property
+    def _has_one_entry_each(self) -> bool:
+        """True where no derivatives add up in an entry of H."""
+        return self.of_meter is None and self.beyond is None
+
+    @cached_property
+    def meters(self) -> np.ndarray:
+        """The meter of each row, (n_row,)."""
+        return np.arange(len(self.node)) if self.of_meter is None else self.of_meter
+
+    @cached_property
+    def shares(self) -> np.ndarray:
+        """The share of each row in the reading of its meter, (n_row,)."""
+        return np.ones(len(self.node)) if self.of_meter is None else 1 / np.bincount(self.of_meter)[self.of_meter]
+
+    @cached_property
+    def _rows_of_entries(self) -> np.ndarray:
+        """The row of each of the derivatives that ``_join`` takes."""
+        beyond = [] if self.beyond is None else [np.tile(self.beyond.row, 4)]
+        return np.concatenate([self.row, self.row, *beyond])
 
     def linearize_compiled(self, x: np.ndarray, *, with_H: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """``linearize_entries``, or without ``with_H`` h(x) and no entries, by compiled code: needs numba."""
         from dsse_core.grid import derivatives
 
-        places = self._pattern[0] if self.of_meter is None else np.arange(2 * self.y.nnz)
+        places = self._pattern[0] if self._has_one_entry_each else np.arange(2 * self.y.nnz)
         y, floors = self.y, (CURRENT_FLOOR, VOLTAGE_FLOOR)
         of_rows = self._reads, y.indptr, y.indices, y.data, self.at_node
         h, entries = derivatives.linearize(x, *of_rows, places if with_H else places[:0], floors)
-        if self.of_meter is None:
-            return h, entries
-        return average(h, self.of_meter), self._join(entries) if with_H else entries
+        h = average(h, self.of_meter)
+        return h, entries if self._has_one_entry_each or not with_H else self._join(entries)
 
     @cached_property
     def _reads(self) -> np.ndarray:
@@ -107,7 +161,7 @@ class MeasurementModel:
 
     def read(self, u: np.ndarray, i: np.ndarray) -> np.ndarray:
         """Readings of the rows of ``u`` and ``i``, shape (n_row,) each."""
-        current, magnitude, angle = self._rows
+        current, magnitude, angle, real, imaginary = self._rows
         s = u * i.conj()
         h: np.ndarray = np.where(self._is_reactive, s.imag, s.real)
         if current.size:
@@ -116,11 +170,13 @@ class MeasurementModel:
             h[magnitude] = abs(u[magnitude])
         if angle.size:
             h[angle] = np.angle(u[angle])
+        if real.size or imaginary.size:
+            h[real], h[imaginary] = i[real].real, i[imaginary].imag
         return h
 
     def weigh(self, u: np.ndarray, i: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``of_u`` and ``of_i`` of every row, shape (n_row,), complex; see ``linearize_entries``."""
-        current, magnitude, angle = self._rows
+        current, magnitude, angle, real, imaginary = self._rows
         of_u, of_i = i.conj() * self._turn, u.conj() * self._turn_back
         if current.size:
             size = abs(i[current])
@@ -133,27 +189,38 @@ class MeasurementModel:
                     of_i[rows] = 0.0
             if angle.size:
                 of_u[angle] *= -1j / np.maximum(abs(u[angle]), VOLTAGE_FLOOR)
+        for rows, turn in ((real, 1.0), (imaginary, -1j)):
+            if rows.size:
+                of_u[rows], of_i[rows] = 0.0, turn
         return of_u, of_i
 
     @cached_property
     def _pattern(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The pattern of H: the order in which its rows hold the derivatives by va, then by vm, of all stored entries
-        of y, with totals the place of each in H; the columns; the ends of rows.
+        """The pattern of H: the order in which its rows hold the derivatives that ``_join`` takes, or, where some add
+        up, the place of each in H; the columns; the ends of rows.
         """
-        columns = np.concatenate([self.y.indices, self.y.indices + self.y.shape[1]])
-        if self.of_meter is not None:
-            meter, n_meas, width = np.tile(self.of_meter[self.row], 2), len(self.kinds), 2 * self.y.shape[1]
-            there, places = np.unique(meter.astype(np.int64) * width + columns, return_inverse=True)
-            return places, there % width, np.searchsorted(there, width * np.arange(n_meas + 1))
-        order = np.argsort(np.concatenate([self.row, self.row]), kind="stable")
-        return order, columns[order], 2 * self.y.indptr
+        n, row = self.y.shape[1], self._rows_of_entries
+        beyond = [] if self.beyond is None else [self.beyond.list_columns(n).ravel()]
+        columns = np.concatenate([self.y.indices, self.y.indices + n, *beyond])
+        if self._has_one_entry_each:
+            order = np.argsort(row, kind="stable")
+            return order, columns[order], 2 * self.y.indptr
+        width = int(columns.max()) + 1
+        there, places = np.unique(self.meters[row].astype(np.int64) * width + columns, return_inverse=True)
+        return places, there % width, np.searchsorted(there, width * np.arange(len(self.kinds) + 1))
 
     def _phasors(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         n = self.y.shape[1]
-        va, vm = x[:n], x[n:]
+        va, vm = x[:n], x[n : 2 * n]
         phase = np.exp(1j * va)
         v = vm * phase
-        return self.find_voltages(v), self.y @ v, vm, phase
+        return self.find_voltages(v), self.add_beyond(self.y @ v, x, v), vm, phase
+
+    def add_beyond(self, i: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """``i`` (n_row,), the currents Y v, with those beyond the network added, at x of voltages ``v``."""
+        if self.beyond is not None:
+            np.add.at(i, self.beyond.row, self.beyond.find(x, v))
+        return i
 
     @cached_property
     def first_rows(self) -> np.ndarray:
@@ -167,7 +234,7 @@ class MeasurementModel:
 
     @cached_property
     def _rows(self) -> list[np.ndarray]:
-        """The rows of the meters that read no power: of |i|, of |u| and of arg u."""
+        """The rows of the meters that read no power: of |i|, |u|, arg u, Re i and Im i."""
         return [np.flatnonzero(self._kinds_of_rows == kind) for kind in _NO_POWER]
 
     @cached_property
@@ -193,13 +260,18 @@ class MeasurementModel:
         return self._turn.conj()
 
 
-_NO_POWER = (MeasurementKind.CURRENT, MeasurementKind.VM, MeasurementKind.VA)
+_NO_POWER = (
+    MeasurementKind.CURRENT,
+    MeasurementKind.VM,
+    MeasurementKind.VA,
+    MeasurementKind.I_REAL,
+    MeasurementKind.I_IMAG,
+)
 
 
 def stack_models(above: MeasurementModel, below: MeasurementModel) -> MeasurementModel:
-    """The rows of two models of one network."""
-    n_above, n_row, both = len(above.kinds), len(above.node), (above, below)
-    meters = [np.arange(len(of.node)) if of.of_meter is None else of.of_meter for of in both]
+    """The rows of two models of one network, ``below`` of no currents beyond it."""
+    n_above, n_row = len(above.kinds), len(above.node)
     have_one_row = above.of_meter is None and below.of_meter is None
     return MeasurementModel(
         kinds=np.concatenate([above.kinds, below.kinds]),
@@ -208,7 +280,8 @@ def stack_models(above: MeasurementModel, below: MeasurementModel) -> Measuremen
         row=np.concatenate([above.row, n_row + below.row]),
         at_node=np.concatenate([above.at_node, below.at_node]),
         other=None if above.other is None or below.other is None else np.concatenate([above.other, below.other]),
-        of_meter=None if have_one_row else np.concatenate([meters[0], n_above + meters[1]]),
+        of_meter=None if have_one_row else np.concatenate([above.meters, n_above + below.meters]),
+        beyond=above.beyond,
     )
 
 

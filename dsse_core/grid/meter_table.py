@@ -22,6 +22,7 @@ UNKNOWN_BRANCH = "?"  # stands for the id of a branch that the network does not 
 _IS_OF_INJECTION = np.array([kind.of_injection for kind in KINDS])
 _IS_OF_BRANCH = np.array([kind.of_branch for kind in KINDS])
 _HAS_TOTAL = np.array([kind.has_total for kind in KINDS])
+_IS_VIRTUAL = np.array([kind.is_virtual for kind in KINDS])
 LISTED = ("kind", "bus", "branch", "source", "phases")  # attributes of a meter
 PHASE_COLUMNS = ("phase", "other_phase")  # of meters in a network with phases, see ``MeterTable.phases``
 _CODE_OF_KIND = {id(kind): k for k, kind in enumerate(KINDS)}  # members are singletons, and hashing them takes long
@@ -155,8 +156,9 @@ def _have_nodes(network: Network, meters: Records[Meter]) -> bool:
     """True where each of ``meters``, at known buses and branches, names one phase that is there, or two of a bus, or is
     a total.
     """
+    must_be_virtual = _IS_VIRTUAL[number_kinds(meters)]
     if network.table.nodes.is_balanced:
-        return True
+        return not must_be_virtual.any()
     table = tabulate_meters(network, meters)
     assert table.phases is not None  # as ``network`` has phases
     assert table.other is not None
@@ -164,7 +166,7 @@ def _have_nodes(network: Network, meters: Records[Meter]) -> bool:
     is_pair = at_bus & (table.other >= 0) & (table.other != table.node)
     is_there, is_total = np.where(at_bus, table.node, table.port) >= 0, table.phases[0] == TOTAL
     fits = np.where(is_total, _HAS_TOTAL[table.kind], is_there) & (is_alone | is_pair)
-    return bool(fits.all())
+    return bool((fits & (~must_be_virtual | is_total & find_virtual(meters))).all())
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from dsse_core.grid.measurement_model import MeasurementModel
 from dsse_core.grid.network import Network
 
 _AT_BRANCHES = tuple(kind for kind in MeasurementKind if kind.of_branch)
-_INJECTIONS = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
+_INJECTIONS = tuple(kind for kind in MeasurementKind if kind.of_injection)
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ class AreaMeasurements:
 
     area: Area
     model: MeasurementModel
-    into_children: sp.csr_array  # (n_meas, n_power): 1 where an injection meter counts a power into a child
+    into_children: sp.csr_array  # (n_meas, n_power): the share of a power into a child in an injection to ground
     into_area: MeasurementModel | None  # P and Q from the parent's buses into the area's own branches
     z: np.ndarray
     sigma: np.ndarray
@@ -81,6 +81,11 @@ class AreaMeasurements:
         """True where one of the further rows reads many buses."""
         return any(rows.couples_many for rows in self.further)
 
+    @property
+    def moves_with_powers(self) -> bool:
+        """True where powers into children change no weight and no derivative."""
+        return self.method is least_squares and self.model.beyond is None
+
     @cached_property
     def n_nodes(self) -> int:
         """The number of nodes, of which x has va and vm."""
@@ -101,9 +106,15 @@ class AreaMeasurements:
         return np.flatnonzero(self.kinds == MeasurementKind.VA)
 
     @cached_property
+    def bus_currents(self) -> np.ndarray:
+        """Rows of currents of buses."""
+        return np.flatnonzero(np.isin(self.kinds, (MeasurementKind.I_REAL, MeasurementKind.I_IMAG)))
+
+    @cached_property
     def degrees(self) -> np.ndarray:
         """The power k for which h grows as c^k when all voltages grow by c, shape (n_meas,)."""
-        once = np.isin(self.kinds, (MeasurementKind.VM, MeasurementKind.CURRENT))
+        kind = MeasurementKind
+        once = np.isin(self.kinds, (kind.VM, kind.CURRENT, kind.I_REAL, kind.I_IMAG))
         return np.where(once, 1.0, np.where(self.kinds == MeasurementKind.VA, 0.0, 2.0))
 
     @cached_property

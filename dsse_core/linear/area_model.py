@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 
-from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.boundary import Kind
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.grid.measurement_model import build_measurement_model
+from dsse_core.grid.measurement_model import CurrentsBeyond, MeasurementModel, build_measurement_model
 from dsse_core.grid.network import Network
-from dsse_core.grid.nodes import list_phases
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear import Backend, LinearArea, Matrix, Rows, make_linear, make_rows
 from dsse_core.linear.area_measurements import NO_ROWS, AreaMeasurements
@@ -23,6 +22,7 @@ from dsse_core.linear.contributions import FurtherRows
 from dsse_core.linear.whole_grid import GridSolver
 
 INJECTION = {Kind.P: MeasurementKind.P_INJECTION, Kind.Q: MeasurementKind.Q_INJECTION}
+CURRENTS = (MeasurementKind.I_REAL, MeasurementKind.I_IMAG)
 
 
 class AreaModel(AreaMeasurements):
@@ -94,9 +94,6 @@ def build_area_model(
     """
     network = area.network
     admittance = build_admittance(network, with_shunts=with_shunts)
-    if between := [m.meter.id for m in measurements if _is_short_of(m.meter, area)]:
-        problem = "power between two phases of a bus does not count what flows into areas beyond; meter each phase"
-        raise InvalidInputError(f"meters of area {area.name}", [f"{meter}: {problem}" for meter in between])
     meters = [m.meter for m in measurements]
     size = 2 * network.n_nodes + len(area.powers_into_children)
     fixed = NO_ROWS if reference is None else network.nodes_at(reference)
@@ -104,7 +101,7 @@ def build_area_model(
     at_parent = [Meter(INJECTION[v.kind], v.bus, phases=v.phase) for v in to_parent if v.kind in INJECTION]
     return AreaModel(
         area=area,
-        model=build_measurement_model(network, admittance, meters),
+        model=_count_currents(area, build_measurement_model(network, admittance, meters)),
         into_children=_count_powers(area, meters),
         into_area=build_measurement_model(network, admittance, at_parent) if at_parent else None,
         z=_values_of(measurements),
@@ -117,7 +114,7 @@ def build_area_model(
 
 
 def _count_powers(area: Area, meters: Sequence[Meter]) -> sp.csr_array:
-    """The share of each power into a child in the reading of each meter, (n_meas, n_power): injections count them."""
+    """The share of each power into a child in the reading of each injection to ground, (n_meas, n_power)."""
     powers: dict[tuple[MeasurementKind, int, str], list[tuple[int, float]]] = {}
     for k, power in enumerate(area.powers_into_children):
         kind = INJECTION[power.kind]
@@ -130,11 +127,20 @@ def _count_powers(area: Area, meters: Sequence[Meter]) -> sp.csr_array:
     return sp.csr_array(sp.coo_array((shares, (rows, columns)), shape=(len(meters), len(area.powers_into_children))))
 
 
-def _is_short_of(meter: Meter, area: Area) -> bool:
-    """True for an injection between two phases of which one has a power into a child."""
-    phases = list_phases(meter.phases)
-    there = {power.phase for power in area.powers_into_children if power.bus == meter.bus}
-    return len(phases) > 1 and meter.kind.of_injection and not there.isdisjoint(phases)
+def _count_currents(area: Area, model: MeasurementModel) -> MeasurementModel:
+    """``model`` with currents into children in what is no power to ground: currents of buses, powers between phases."""
+    powers = [
+        (area.network.node(s.bus, s.phase), k) for k, s in enumerate(area.powers_into_children) if s.kind is Kind.P
+    ]
+    if model.other is None or not powers:
+        return model
+    kinds = model.kinds[model.meters]
+    counts = np.isin(kinds, CURRENTS) | np.isin(kinds, list(INJECTION.values())) & (model.other >= 0)
+    node, place = np.array(powers).T
+    row, power = np.nonzero(counts[:, None] & (model.node[:, None] == node))
+    if not len(row):
+        return model
+    return replace(model, beyond=CurrentsBeyond(row, node[power], 2 * area.network.n_nodes + place[power]))
 
 
 def build_whole_grid(network: Network, meters: Sequence[Meter], reference: int) -> GridSolver:

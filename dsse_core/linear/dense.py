@@ -37,8 +37,9 @@ class DenseRows(Rows):
         self._H = np.zeros((len(self._h), size))
         self._H[: self._n_meas, 2 * self._n :] = self._into_children
         self._H[n_computed + np.arange(len(picked)), self._picked] = 1.0
-        self._own = self._h[:n_computed]  # h of the voltages alone
-        self._at = self._voltages_at = b""  # the x of h, and the voltages of H
+        self._own = self._h[:n_computed]  # h of the model alone
+        self._n_read = size if model.beyond is not None else 2 * self._n  # of x, by the model
+        self._at = self._read_at = b""  # the x of h, and of H
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """See ``Rows``; the caller must not change the array."""
@@ -74,24 +75,28 @@ class DenseRows(Rows):
         if (at := x.tobytes()) == self._at:
             return
         n, m = self._n, self._n_meas
-        if (voltages_at := x[: 2 * n].tobytes()) != self._voltages_at:
-            self._move_voltages_to(x)
-            self._voltages_at = voltages_at
+        if (read_at := x[: self._n_read].tobytes()) != self._read_at:
+            self._move_model_to(x)
+            self._read_at = read_at
         h = np.concatenate([self._own, x[self._picked]])  # a new array, as callers keep the former one
         h[:m] += self._into_children @ x[2 * n :]
         self._h, self._at = h, at
 
-    def _move_voltages_to(self, x: np.ndarray) -> None:
-        n, computed = self._n, slice(len(self._rows.kinds))
+    def _move_model_to(self, x: np.ndarray) -> None:
+        n, model, computed = self._n, self._rows, slice(len(self._rows.kinds))
         vm, phase = x[n : 2 * n], np.exp(1j * x[:n])
         v = vm * phase
-        u, i = self._rows.find_voltages(v), self._y @ v
-        of_u, of_i = self._rows.weigh(u, i)
+        u, i = model.find_voltages(v), model.add_beyond(self._y @ v, x, v)
+        of_u, of_i = model.weigh(u, i)
         along = of_i[:, None] * self._y  # see MeasurementModel.linearize
-        along[self._each, self._rows.node] += of_u
-        if (other := self._rows.other) is not None:
+        along[self._each, model.node] += of_u
+        if (other := model.other) is not None:
             along[self._each[other >= 0], other[other >= 0]] -= of_u[other >= 0]
         along *= phase
-        along = average(along, self._rows.of_meter)
-        self._own, self._H = average(self._rows.read(u, i), self._rows.of_meter), self._H.copy()
+        along = average(along, model.of_meter)
+        self._own, self._H = average(model.read(u, i), model.of_meter), self._H.copy()
         self._H[computed, :n], self._H[computed, n : 2 * n] = along.imag * -vm, along.real
+        if (beyond := model.beyond) is not None:
+            self._H[: self._n_meas, 2 * n :] = self._into_children
+            entries = beyond.find_derivatives(x, v, of_i) * model.shares[beyond.row]
+            np.add.at(self._H, (model.meters[beyond.row], beyond.list_columns(n)), entries)

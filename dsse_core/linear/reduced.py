@@ -27,7 +27,6 @@ from dsse_core.grid.boundary import Boundary, Kind
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import EXACT_SIGMA, TIED_SIGMA, BoundaryInformation
-from dsse_core.linear.contributions import least_squares
 from dsse_core.linear.interface import NOT_YET, Received, Rows
 from dsse_core.linear.rows import RowSolver, shift_of_own_rows
 
@@ -194,7 +193,7 @@ class ReducedSolver(RowSolver):
         if self._reduced is None or not np.array_equal(self._reduced.x, x):
             within = self._reduce_voltages(x)
             power = x[2 * self.model.n_nodes :]
-            if len(power) and self.model.method is least_squares:
+            if len(power) and self.model.moves_with_powers:
                 within = within._replace(turned=_with_power(within.turned, power), rows=_with_power(within.rows, power))
             boundaries = {neighbour.area: self._boundary(x, neighbour) for neighbour in self.model.area.neighbours}
             self._reduced = _Reduced(x.copy(), within, boundaries)
@@ -202,7 +201,7 @@ class ReducedSolver(RowSolver):
 
     def _reduce_voltages(self, x: np.ndarray) -> _Eliminated:
         """Elimination of the voltages within the area; without power into children where that changes no weights."""
-        if self.model.method is least_squares:
+        if self.model.moves_with_powers:
             x = np.where(np.arange(len(x)) < 2 * self.model.n_nodes, x, 0.0)
         if self._within is None or not np.array_equal(self._within[0], x):
             self._within = x, _eliminate(self._weighted_rows(x), self._order.n_within)

@@ -44,10 +44,11 @@ class SparseRows(Rows):
     def __init__(self, area: AreaMeasurements) -> None:
         self._area = area
         self._n = area.n_nodes
+        self._n_read = 2 * area.n_nodes if area.model.beyond is None else area.size  # of x, by the model
         self._kept = Kept()
-        self._at = self._voltages_at = b""  # of the numbers that are kept: steps, messages and variances ask in turn
+        self._at = self._read_at = b""  # of the numbers that are kept: steps, messages and variances ask in turn
         self._h: np.ndarray | None = None
-        self._own: np.ndarray | None = None  # h of the voltages alone
+        self._own: np.ndarray | None = None  # h of the model alone
         self._H: sp.csr_array | None = None
         self._boundaries: dict[str, tuple[np.ndarray, sp.csr_array]] = {}
 
@@ -59,14 +60,14 @@ class SparseRows(Rows):
         """See ``Rows``; the caller must not change the array."""
         self._move_to(x)
         if self._own is None:
-            self._own = self._predict(x[: 2 * self._n])
+            self._own = self._predict(x[: self._n_read])
         if self._h is None:
             powers = x[2 * self._n :]
             self._h = np.asarray(self._own + self._area.into_children @ powers) if len(powers) else self._own
         return self._h
 
-    def _predict(self, voltages: np.ndarray) -> np.ndarray:
-        return self._area.model.predict(voltages)
+    def _predict(self, read: np.ndarray) -> np.ndarray:
+        return self._area.model.predict(read)
 
     def jacobian(self, x: np.ndarray) -> sp.csr_array:
         """See ``Rows``; the caller must not change the array. Finds h(x) in passing."""
@@ -78,32 +79,34 @@ class SparseRows(Rows):
     def _move_to(self, x: np.ndarray) -> None:
         if (at := x.tobytes()) == self._at:
             return
-        if (voltages_at := x[: 2 * self._n].tobytes()) != self._voltages_at:
+        if (read_at := x[: self._n_read].tobytes()) != self._read_at:
             self._own = self._H = None
-        self._at, self._voltages_at, self._h, self._boundaries = at, voltages_at, None, {}
+        self._at, self._read_at, self._h, self._boundaries = at, read_at, None, {}
 
     def _linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
-        """h of the voltages alone, and H."""
-        voltages = x[: 2 * self._n]
-        h, data = self._find_entries(voltages)
-        first, order = self._kept.first or self._find_first(voltages)
+        """h of the model alone, and H."""
+        read = x[: self._n_read]
+        h, data = self._find_entries(read)
+        first, order = self._kept.first or self._find_first(read)
         H = copy.copy(first)  # a new one would have its indices checked each time
         H.data = np.concatenate([data, self._area.into_children.data])[order] if len(order) else data
         return h, H
 
-    def _find_first(self, voltages: np.ndarray) -> tuple[sp.csr_array, np.ndarray]:
+    def _find_first(self, read: np.ndarray) -> tuple[sp.csr_array, np.ndarray]:
         """H of this pattern, and the order of its entries; empty where there are no powers into children."""
-        H, into_children, order = self._area.model.jacobian(voltages), self._area.into_children, NO_ROWS
-        if into_children.shape[1]:
-            numbers = [copy.copy(H), copy.copy(into_children)]
-            numbers[0].data, numbers[1].data = np.split(np.arange(H.nnz + into_children.nnz), [H.nnz])
-            H = sp.csr_array(sp.hstack(numbers, format="csr"))
+        H, into_children, order = self._area.model.jacobian(read), self._area.into_children, NO_ROWS
+        if n_power := into_children.shape[1]:
+            parts = [H.tocoo(), sp.coo_array(into_children)]  # of no entries in common
+            row, column = (np.concatenate([part.coords[k] for part in parts]) for k in (0, 1))
+            column[H.nnz :] += 2 * self._n
+            shape = H.shape[0], 2 * self._n + n_power
+            H = sp.coo_array((np.arange(len(row)), (row, column)), shape=shape).tocsr()
             order = H.data
         self._kept.first = H, order
         return self._kept.first
 
-    def _find_entries(self, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self._area.model.linearize_entries(voltages)
+    def _find_entries(self, read: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self._area.model.linearize_entries(read)
 
     def pattern(self, H: sp.csr_array, columns: np.ndarray) -> AugmentedPattern:
         """Pattern of the tableau for the ``columns`` of H, all rows of the area; the last one of them is kept."""

@@ -33,13 +33,13 @@ class GridRows(SparseRows):
     def _linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
         return self._linearized_at_flat if x is self.flat else super()._linearize(x)
 
-    def _predict(self, voltages: np.ndarray) -> np.ndarray:
+    def _predict(self, read: np.ndarray) -> np.ndarray:
         model = self._area.model
-        return model.linearize_compiled(voltages, with_H=False)[0] if self.is_compiled else model.predict(voltages)
+        return model.linearize_compiled(read, with_H=False)[0] if self.is_compiled else model.predict(read)
 
-    def _find_entries(self, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _find_entries(self, read: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         model = self._area.model
-        return model.linearize_compiled(voltages) if self.is_compiled else model.linearize_entries(voltages)
+        return model.linearize_compiled(read) if self.is_compiled else model.linearize_entries(read)
 
     def _find_pattern(self, H: sp.csr_array, columns: np.ndarray, others: sp.csr_array | None) -> AugmentedPattern:
         """Pattern with the order of the network's buses; pivots are those that fill in least."""

@@ -34,8 +34,10 @@ def read_exactly(power_flow: PowerFlowResult, meters: Sequence[Meter]) -> tuple[
             exact[here] = abs((u if name is KIND.VM else i)[here])
         elif name is KIND.VA:
             exact[here] = np.angle(u[here])
+        elif name.is_virtual:
+            exact[here] = (i if name is KIND.I_REAL else -1j * i)[here].real
         else:
             exact[here] = s[here].real if name in (KIND.P_INJECTION, KIND.P_FLOW) else s[here].imag
-    is_power = np.array([name not in (KIND.VM, KIND.VA, KIND.CURRENT) for name in KINDS])[kind]
+    is_power = np.array([name.has_total and not name.is_virtual for name in KINDS])[kind]
     s, exact = average(np.where(is_power, s, exact), of_meter), average(exact, of_meter)
     return exact, abs(s)

@@ -25,6 +25,8 @@ UNIT = {
     KIND.P_FLOW: "kw",
     KIND.Q_FLOW: "kvar",
     KIND.CURRENT: "a",
+    KIND.I_REAL: "a",
+    KIND.I_IMAG: "a",
 }
 UNITS = ("pu", "deg", "kw", "kvar", "a")
 QUANTITIES = ("value", "sigma", "estimate", "residual")
@@ -122,5 +124,5 @@ def find_unit_sizes(network: Network, meters: Sequence[Meter]) -> np.ndarray:
     of_unit = {"pu": 1.0, "deg": 180 / np.pi, "kw": kw, "kvar": kw, "a": np.nan}
     kinds, row = number_kinds(meters), network.table.rows.find(read_column(meters, "bus", np.int64))
     of_kind = np.array([of_unit[UNIT[kind]] for kind in KINDS])
-    sizes: np.ndarray = np.where(kinds == KINDS.index(KIND.CURRENT), base_a(network)[row], of_kind[kinds])
+    sizes: np.ndarray = np.where(_has_unit("a")[kinds], base_a(network)[row], of_kind[kinds])
     return sizes if of_meter is None else sizes * np.bincount(of_meter)

@@ -51,8 +51,11 @@ RING = {"head": [650, 632, 671, 692], "two": [632, 645, 646, 692], "west": [671,
 TIE = coupled_line("646-692", (646, 692), "bc", 0.25)  # closes the ring
 
 
-def make_feeder(*ties: Branch) -> Network:
-    """A source, a regulator, coupled lines, laterals of two phases and of one, and a delta-wye bank."""
+def make_feeder(*ties: Branch, between: Mapping[int, Sequence[str]] | None = None) -> Network:
+    """A source, a regulator, coupled lines, laterals of two phases and of one, and a delta-wye bank.
+
+    ``between``: bus -> legs between phases, which stand there in place of those to ground.
+    """
     lines = [
         *ties,
         bank("reg", (650, 632), WYE, (1.02, 1.01, 1.03)),
@@ -64,7 +67,7 @@ def make_feeder(*ties: Branch) -> Network:
         coupled_line("671-692", (671, 692), "abc", 0.1),
         bank("692-675", (692, 675), DELTA),
     ]
-    drawn = {645: "b", 646: "bc", 671: "abc", 611: "c", 675: "abc"}
+    drawn = {645: "b", 646: "bc", 671: "abc", 611: "c", 675: "abc"} | dict(between or {})
     rng = np.random.default_rng(1)
     loads = [Load(bus, p, complex(*rng.uniform(0.05, 0.25, 2))) for bus, phases in drawn.items() for p in phases]
     buses = tuple(Bus(bus, 4.16, phases=phases) for bus, phases in BUSES.items())
@@ -83,15 +86,30 @@ def solve(network: Network) -> np.ndarray:
     return np.concatenate([np.angle(v), abs(v)])
 
 
+def meter_injections(network: Network, bus: Bus) -> list[Meter]:
+    """P and Q of each node, 0 exactly where no leg ends, or of a leg alone between two phases.
+
+    With legs between phases only, the sum of the bus' currents is 0.
+    """
+    legs = [load.phases for load in network.loads if load.bus == bus.id]
+    is_between, powers = legs and all(len(list_phases(leg)) == 2 for leg in legs), (KIND.P_INJECTION, KIND.Q_INJECTION)
+    free, virtual = list_phases(bus.phases), Source.VIRTUAL
+    meters = []
+    if is_between:
+        meters += [Meter(kind, bus.id, source=virtual) for kind in (KIND.I_REAL, KIND.I_IMAG)]
+        if len(legs) == 1:
+            meters += [Meter(kind, bus.id, phases=legs[0]) for kind in powers]
+            free = [phase for phase in free if phase not in list_phases(legs[0])]
+    ends = {phase for leg in legs for phase in list_phases(leg)}
+    source = {phase: Source.TELEMETERED if phase in ends else virtual for phase in free}
+    return meters + [Meter(kind, bus.id, phases=p, source=source[p]) for p in free for kind in powers]
+
+
 def read_meters(network: Network, seed: int, decades: float, *, is_rich: bool) -> list[Measurement]:
     """Noisy readings of P and Q at each node, 0 exactly where no load is, of some flows, voltages and currents."""
-    loaded, rng = network.scheduled != 0, np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     places = [(bus.id, phase) for bus in network.buses if bus.id != 650 for phase in list_phases(bus.phases)]
-    meters = [
-        Meter(kind, bus, phases=p, source=Source.TELEMETERED if loaded[network.node(bus, p)] else Source.VIRTUAL)
-        for bus, p in places
-        for kind in (KIND.P_INJECTION, KIND.Q_INJECTION)
-    ]
+    meters = [meter for bus in network.buses if bus.id != 650 for meter in meter_injections(network, bus)]
     meters += [Meter(KIND.VM, bus, phases=p) for bus in (650, 675) for p in "abc"] + [Meter(KIND.VM, 611, phases="c")]
     meters += [Meter(kind, 650, "reg", phases=p) for kind in (KIND.P_FLOW, KIND.Q_FLOW) for p in "abc"]
     if is_rich:

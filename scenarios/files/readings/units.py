@@ -27,7 +27,7 @@ UNITS: Mapping[str, frozenset[MeasurementKind]] = {
 }
 """Unit -> the kinds of meter that may be given in it. Voltages in V and kV are line to line; of a phase to
 ground."""
-WRITTEN_IN = {KIND.VM: "pu", KIND.VA: "deg", KIND.CURRENT: "a"} | {
+WRITTEN_IN = {KIND.VM: "pu", KIND.VA: "deg", KIND.CURRENT: "a", KIND.I_REAL: "pu", KIND.I_IMAG: "pu"} | {
     kind: "mw" if kind in UNITS["mw"] else "mvar" for kind in UNITS["mw"] | UNITS["mvar"]
 }
 
@@ -70,6 +70,8 @@ RANGES: Mapping[MeasurementKind, tuple[Range, float | None]] = {
     KIND.VM: (Range(0.0, VOLTAGE.most, VOLTAGE.unit), 1.0),  # a dead voltmeter reads 0
     KIND.VA: (ANGLE, math.degrees(1)),
     KIND.CURRENT: (Range(0.0, POWER.most, "MVA at the base voltage"), None),
+    KIND.I_REAL: (POWER, None),
+    KIND.I_IMAG: (POWER, None),
     KIND.P_INJECTION: (POWER, None),
     KIND.P_FLOW: (POWER, None),
     KIND.Q_INJECTION: (REACTIVE_POWER, None),

@@ -110,11 +110,13 @@ def chain() -> Callable[..., Network]:
 
 @pytest.fixture
 def meters_of() -> Callable[..., list[Meter]]:
-    """Every meter of the given kinds: at all buses, at both ends of all branches in service."""
+    """Every meter of the given kinds, by default of all that meters read: at all buses, at both ends of all branches in
+    service.
+    """
 
     def build(network: Network, *kinds: Kind) -> list[Meter]:
         meters = []
-        for kind in kinds:
+        for kind in kinds or (kind for kind in Kind if not kind.is_virtual):
             if kind.of_branch:
                 meters += [Meter(kind, bus, b.id) for b in network.active_branches for bus in (b.from_bus, b.to_bus)]
             else:

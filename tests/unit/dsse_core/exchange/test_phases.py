@@ -10,17 +10,19 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from dsse_core.errors import InvalidInputError, NotObservableError
+from dsse_core.errors import NotObservableError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.estimation.decision import Verdict
 from dsse_core.estimation.estimator import WholeGrid
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.division import build_partition
-from dsse_core.grid.measurement import Measurement, Meter
+from dsse_core.grid.measurement import Measurement, Meter, Source
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Partition
 from dsse_core.linear.area_model import build_area_model
+from dsse_core.linear.dense import DenseRows
+from dsse_core.linear.sparse import SparseRows
 from tests.support.levels import further
 from tests.support.phases import AREAS, DEEP, KIND, RING, TIE, Rounds, make_feeder, read_meters, run_rounds, solve
 
@@ -65,8 +67,28 @@ def assert_is_the_centres(rounds: Rounds, partition: Partition, report: BadDataR
 
 @pytest.mark.parametrize("areas", [TWO, AREAS, DEEP, RING], ids=["two areas", "four", "six", "ring"])
 def test_areas_with_phases_go_the_centres_way_to_its_estimate(areas: dict[str, list[int]]) -> None:
-    network, gaps = make_feeder(*([TIE] if areas is RING else [])), []
-    partition, n = build_partition(network, areas), network.n_nodes
+    assert_goes_the_centres_way(make_feeder(*([TIE] if areas is RING else [])), areas)
+
+
+THREE_LEGS = {645: ("bc",), 671: ("ab", "bc", "ac"), 675: ("ab",), 692: ("ab", "bc", "ac")}
+ONE_LEG = {646: ("bc",), 671: ("ab",), 684: ("ac",), 692: ("bc", "ab")}
+
+
+AT_LEGS = [(THREE_LEGS, TWO), (THREE_LEGS, RING), (ONE_LEG, DEEP), (ONE_LEG, RING)]
+
+
+@pytest.mark.parametrize("case", [(THREE_LEGS, DEEP), (ONE_LEG, AREAS), *further(*AT_LEGS)])
+def test_areas_meet_at_buses_with_legs_between_phases_and_go_the_centres_way(
+    case: tuple[dict[int, tuple[str, ...]], dict[str, list[int]]],
+) -> None:
+    """Legs at boundaries of three phases, of which the children have two and three, next to them and behind a bank."""
+    legs, areas = case
+    assert_goes_the_centres_way(make_feeder(*([TIE] if areas is RING else []), between=legs), areas)
+
+
+def assert_goes_the_centres_way(network: Network, areas: dict[str, list[int]]) -> None:
+    """With many meters and few, and sigmas over decades, x_k and the end are the centre's."""
+    partition, n, gaps = build_partition(network, areas), network.n_nodes, []
     for is_rich, decades in itertools.product((True, False), (0.0, 1.0, 3.0)):
         readings = read_meters(network, 2, decades, is_rich=is_rich)
         report, verdicts, states = trace_centre(network, readings)
@@ -135,8 +157,17 @@ def test_a_child_that_falls_silent_counts_as_it_was(gone: str) -> None:
         assert side.x == pytest.approx(before[name], abs=1e-3)
 
 
-def test_a_power_between_phases_with_an_area_beyond_is_refused_by_name() -> None:
-    area = build_partition(make_feeder(), AREAS).area("head")
-    meters = [Measurement(Meter(KIND.P_INJECTION, bus, phases="ab"), 0.1, 0.01) for bus in (650, 671)]
-    with pytest.raises(InvalidInputError, match=r"p_injection@671\.ab: power between two phases .* meter each phase"):
-        build_area_model(area, meters, 650)
+def test_rows_beside_powers_into_children_have_the_derivatives_of_their_readings() -> None:
+    """Powers between phases, totals and currents of buses, at buses with an area beyond, by dense and sparse rows."""
+    area = build_partition(make_feeder(), DEEP).area("head")
+    powers, currents = (KIND.P_INJECTION, KIND.Q_INJECTION), (KIND.I_REAL, KIND.I_IMAG)
+    meters = [Meter(kind, bus, source=Source.VIRTUAL) for bus in (632, 671) for kind in currents]
+    meters += [Meter(kind, 671, phases=phases) for phases in ("", "a", "ab", "ca") for kind in powers]
+    model = build_area_model(area, [Measurement(m, 0.0, 0.01) for m in meters], 650)
+    n, rng = model.n_nodes, np.random.default_rng(3)
+    vm, va = area.find_no_load()
+    x = np.r_[va + 0.05 * rng.normal(size=n), vm + 0.05 * rng.normal(size=n), rng.normal(size=model.size - 2 * n)]
+    for rows in (DenseRows(model), SparseRows(model)):
+        H, steps = rows.jacobian(x), 1e-6 * np.eye(len(x))
+        numeric = np.transpose([(rows.predict(x + d) - rows.predict(x - d)) / 2e-6 for d in steps])
+        assert (H.toarray() if isinstance(rows, SparseRows) else H) == pytest.approx(numeric, abs=1e-7)

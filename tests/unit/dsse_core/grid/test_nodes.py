@@ -15,7 +15,7 @@ from dsse_core.estimation.plan import build_estimation_plan
 from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.loads import Load, find_nominal
-from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, read_meter_id
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source, read_meter_id
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.meter_table import find_places
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
@@ -102,6 +102,12 @@ def every_meter(network: Network) -> list[Meter]:
     return meters + [Meter(kind, bus.id) for bus in network.buses for kind in at_nodes[2:]]
 
 
+def every_row(network: Network) -> list[Meter]:
+    """``every_meter``, and the currents of buses."""
+    currents = (KIND.I_REAL, KIND.I_IMAG)
+    return every_meter(network) + [Meter(k, b.id, source=Source.VIRTUAL) for b in network.buses for k in currents]
+
+
 @pytest.fixture
 def state(feeder: Network) -> np.ndarray:
     """An unbalanced state x = [va; vm] under load; the angles at the source are those of the flat start."""
@@ -111,7 +117,7 @@ def state(feeder: Network) -> np.ndarray:
 
 
 def test_meters_of_phases_have_the_derivatives_of_their_readings(feeder: Network, state: np.ndarray) -> None:
-    model = build_measurement_model(feeder, build_admittance(feeder), every_meter(feeder))
+    model = build_measurement_model(feeder, build_admittance(feeder), every_row(feeder))
     step = 1e-6 * np.eye(len(state))
     numeric = np.transpose([model.subtract(model.predict(state + d), model.predict(state - d)) / 2e-6 for d in step])
     assert model.jacobian(state).toarray() == pytest.approx(numeric, abs=2e-7)
@@ -119,7 +125,7 @@ def test_meters_of_phases_have_the_derivatives_of_their_readings(feeder: Network
 
 def test_compiled_code_finds_the_same_derivatives_of_totals(feeder: Network, state: np.ndarray) -> None:
     pytest.importorskip("numba")
-    model = build_measurement_model(feeder, build_admittance(feeder), every_meter(feeder))
+    model = build_measurement_model(feeder, build_admittance(feeder), every_row(feeder))
     for found, expected in zip(model.linearize_compiled(state), model.linearize_entries(state), strict=True):
         assert found == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
@@ -193,6 +199,8 @@ def test_an_unmetered_phase_is_named_with_its_bus_and_a_cure(feeder: Network) ->
 @pytest.mark.parametrize(
     ("meter", "problem"),
     [
+        (Meter(KIND.I_REAL, 632), "i_real@632: no meter reads i_real; it is 0 by the legs of a bus, and virtual"),
+        (Meter(KIND.I_IMAG, 632, phases="a", source=Source.VIRTUAL), r"i_imag@632\.a: i_imag is that of all phases"),
         (Meter(KIND.CURRENT, 632, "632-645"), "current@632:632-645: name one phase of bus 632"),
         (Meter(KIND.VM, 645), "vm@645: name one phase, or two of bus 645, which has b, c"),
         (Meter(KIND.VM, 645, phases="a"), r"vm@645\.a: phase a is not there, only b, c"),
@@ -208,6 +216,23 @@ def test_a_meter_on_phases_that_are_not_there_is_refused_by_name(feeder: Network
 def test_the_compiled_tree_declines_phases_by_name(feeder: Network) -> None:
     with pytest.raises(InvalidInputError, match="the radial back end cannot serve: buses have phases"):
         estimate_state(feeder, [], backend="radial")
+
+
+def test_a_balanced_bus_has_no_virtual_current(meshed: Network) -> None:
+    meter = Meter(KIND.I_REAL, meshed.buses[0].id, source=Source.VIRTUAL)
+    with pytest.raises(InvalidInputError, match="has no phases, and so no legs between them"):
+        estimate_state(meshed, [Measurement(meter, 0.0, 0.0)])
+
+
+def test_the_currents_of_a_bus_with_legs_between_phases_add_up_to_nothing(feeder: Network, state: np.ndarray) -> None:
+    """So say its virtual currents at the voltages of the power flow, and no others."""
+    legs = tuple(Load(632, phases, 0.1 + 0.02j * k) for k, phases in enumerate(("ab", "bc", "ac")))
+    power_flow = solve_power_flow(replace(feeder, loads=(*legs, Load(645, "b", 0.1 + 0.05j))))
+    meters = [Meter(kind, bus, source=Source.VIRTUAL) for bus in (632, 645) for kind in (KIND.I_REAL, KIND.I_IMAG)]
+    read = read_exactly(power_flow, meters)[0]
+    v = power_flow.vm * np.exp(1j * power_flow.va)
+    drawn = (0.1 + 0.05j) / v[feeder.node(645, "b")]
+    assert read == pytest.approx([0, 0, -drawn.real / 2, drawn.imag / 2], abs=1e-10)  # the mean of two phases
 
 
 @pytest.mark.parametrize("text", ["vm@645.b", "va@645.bc", "p_flow@632.s1:632-645", "q_injection@4", "current@3:3.a-6"])

@@ -184,7 +184,7 @@ def test_a_meter_that_does_not_fit_is_rejected_instead_of_read(meshed, meter, te
 
 def test_all_meters_are_read_at_once_as_one_by_one_and_their_problems_reported_together(meshed, meters_of):
     result = solve_power_flow(meshed)
-    meters = meters_of(meshed, *Kind)
+    meters = meters_of(meshed)
     assert result.read_all(meters) == pytest.approx([result.read(meter) for meter in meters], abs=1e-14)
     with pytest.raises(InvalidInputError) as caught:
         result.read_all([Meter(Kind.VM, 99), Meter(Kind.VM, 2), Meter(Kind.VM, 2)])

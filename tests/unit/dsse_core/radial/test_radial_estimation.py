@@ -225,7 +225,7 @@ def test_a_dead_voltmeter_does_not_throw_all_voltages_to_zero(case, meters_of):
 
 
 def test_a_meshed_network_is_declined_with_the_reason(meshed, meters_of):
-    assert "not radial" in str(build_radial_plan(meshed, meters_of(meshed, *Kind)))
+    assert "not radial" in str(build_radial_plan(meshed, meters_of(meshed)))
 
 
 def test_a_bus_known_only_through_its_parents_balance_is_declined(case, meters_of):
@@ -244,7 +244,7 @@ def test_a_network_of_one_bus_and_one_of_two_are_trees():
 
 def test_without_numba_the_reason_is_given(monkeypatch, case, meters_of):
     monkeypatch.setattr("importlib.util.find_spec", lambda name, *rest: None)
-    assert "numba is not installed" in str(build_radial_plan(case("ieee33"), meters_of(case("ieee33"), *Kind)))
+    assert "numba is not installed" in str(build_radial_plan(case("ieee33"), meters_of(case("ieee33"))))
 
 
 @pytest.mark.slow

@@ -37,7 +37,7 @@ def solved(meshed) -> Results:
 
 
 def test_what_meters_read_in_a_state_is_what_the_measurement_model_predicts(meshed, meters_of):
-    truth, meters = solve_power_flow(meshed), meters_of(meshed, *Kind)
+    truth, meters = solve_power_flow(meshed), meters_of(meshed)
     state = find_state(meshed, truth.vm, truth.va)
     np.testing.assert_allclose(read_state(state, meters), truth.read_all(meters), rtol=0, atol=1e-12)
     np.testing.assert_allclose(state.injection, truth.injection, rtol=0, atol=1e-12)
