@@ -201,7 +201,7 @@ class _Rows:
         self._mean = np.array([load.mean for load in known if load])
         self._sigma = np.array([load.sigma for load in known if load])
         self._unread = [loads[place] for place in unread]
-        self._n_bus = len(area.network.buses)
+        self._n_nodes = area.network.n_nodes
         self.n_residuals = int((~self.is_virtual).sum()) + len(self._joined)
         z, sigma = np.zeros(len(self.meters)), np.ones(len(self.meters))
         self._model = build_area_model(area, self._list(_Hypothesis(z, sigma, 0.0)), reference)
@@ -259,7 +259,7 @@ class _Rows:
             for _ in range(MOST_STEPS):
                 step = model.linear.step(x, received)
                 x = x + step
-                if abs(step[: 2 * self._n_bus]).max() < LAST_STEP:
+                if abs(step[: 2 * self._n_nodes]).max() < LAST_STEP:
                     return self.find_misfit(hypothesis, x, received)
         except (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError):
             pass

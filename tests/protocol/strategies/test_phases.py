@@ -7,7 +7,10 @@ from functools import cache
 
 import pytest
 
-from agents.messages.packing import LoadMessage, UpMessage, encode
+from agents.messages.packing import Incarnation, LoadMessage, UpMessage, encode
+from agents.protocol.choose import make_protocol
+from coordinator.lab.strategy_check import check_with_strategy
+from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement
@@ -16,6 +19,7 @@ from dsse_core.grid.partition import Partition
 from dsse_core.link_faults import LinkFaults
 from tests.support.areas_with_phases import find_gap, find_qualities, read_by_area, split_phases
 from tests.support.phases import AREAS, DEEP, RING, TIE, make_feeder, read_meters
+from tests.support.scenario_with_phases import make_scenario
 from tests.support.simulated_bus import SimulatedBus
 
 GAP = 1e-9  # p.u. and rad
@@ -90,3 +94,13 @@ def test_messages_of_phases_are_as_small_as_their_variables_allow():
         assert 300 < largest[n] < most
     loads = {len(m.p): len(encode(m)) for _, _, _, m in bus.delivered if isinstance(m, LoadMessage)}
     assert loads.keys() == {1, 2, 3}
+
+
+def test_a_strategy_of_one_voltage_a_bus_refuses_phases():
+    expected = "buses have phases, which strategy 'angle-offset' cannot take: one offset turns .* 'information'"
+    with pytest.raises(InvalidInputError, match=expected):
+        check_with_strategy(make_scenario(strategy="angle-offset"))
+    readings, _ = estimate_centrally("four areas", is_rich=True)
+    content = split_phases(divide("four areas")[1], readings, strategy="angle-offset")[0]
+    with pytest.raises(InvalidInputError, match=expected):
+        make_protocol(content, Incarnation(1, 1), now=0.0, started_at=0.0)

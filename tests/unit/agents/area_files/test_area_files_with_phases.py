@@ -19,6 +19,8 @@ from dsse_core.grid.division import build_partition
 from dsse_core.grid.gauge import Gauge
 from dsse_core.grid.loads import Load
 from dsse_core.link_faults import LinkFaults
+from scenarios.files.network_file import load_case
+from scenarios.generate.cutting import cut_at
 from tests.support.phases import AREAS, RING, TIE, make_feeder, read_meters
 
 
@@ -64,6 +66,19 @@ def test_an_area_with_phases_is_read_back_to_the_bit(tmp_path: Path, areas: dict
             assert read.primitive.y.tobytes() == written.primitive.y.tobytes()
             assert read.primitive.charging.tobytes() == written.primitive.charging.astype(complex).tobytes()
         assert found.identity.is_sound
+        assert not found.identity.edited
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".json"])
+def test_an_area_of_a_network_file_is_read_back_too(tmp_path: Path, suffix: str):
+    network = load_case("ieee13")
+    for area in build_partition(network, cut_at(network, ["632-670", "671-684"])).areas:
+        (content,) = stamp_split([Configuration("run", area, (), "information", ("tcp/127.0.0.1:7447",))], 1.0)
+        save_area_file(tmp_path / f"{area.name}{suffix}", content)
+        found = load_area_file(tmp_path / f"{area.name}{suffix}")
+        assert [branch.primitive for branch in found.area.network.branches] == [
+            branch.primitive for branch in area.network.branches
+        ]
         assert not found.identity.edited
 
 

@@ -11,6 +11,7 @@ import pytest
 from coordinator.field.gateway import gateway as process
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import read_meters
+from tests.unit.coordinator.field.gateway.conftest import LIVE
 
 READING = '[[reading]]\naddress = "{}"\nmeter = "{}"\nunit = "pu"\nsigma = {}\n'
 
@@ -83,3 +84,15 @@ def test_a_source_that_is_not_there_is_named(write_map, dsse) -> None:
 def test_a_check_needs_no_bus(write_map, dsse, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(process, "join_bus", None)
     assert dsse("gateway", write_map(READING.format("U1", "vm@1", 0.001)), "--check", "--seconds", 0.1)[0] == 1
+
+
+def test_readings_of_phases_stand_beside_the_schedule_and_are_not_judged(
+    write_map, edited_scenario: Callable[..., Path], tmp_path: Path, dsse
+) -> None:
+    edited_scenario("ieee13", LIVE)
+    path = write_map(READING.format("U", "vm@671.b", 0.01), is_edited=True)
+    (tmp_path / "readings.csv").write_text(f"time,address,value\n{time.time()},U,0.5\n")
+    code, out, _ = dsse("gateway", path, "--check", "--seconds", 1)
+    assert "buses have phases: readings stand beside the schedule, and their signs and units are not judged" in out
+    assert "vm@671.b" in out
+    assert code == 0
