@@ -28,6 +28,7 @@ from dsse_core.link_faults import LinkFaults, Window
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
 from scenarios.generate.cutting import cut_into
 from scenarios.generate.feeder import generate_feeder
+from scenarios.scenario import load_scenario
 
 Link = tuple[str, str]
 KIND = MeasurementKind
@@ -97,10 +98,10 @@ class World:
         return stamp_split(files, time=0.0)
 
 
-def run_history(seed: int) -> HistoryOutcome:
-    """Draw and run one history."""
+def run_history(seed: int, *, phases: bool = False) -> HistoryOutcome:
+    """Draw and run one history. ``phases``: of ieee13, not of a balanced feeder."""
     rng = np.random.default_rng(seed)
-    world = draw_world(rng)
+    world = (draw_unbalanced_world if phases else draw_world)(rng)
     severity = float(rng.random())  # share of the possible faults that happen
     shown: list[StateMessage] = []
     links = [(area.name, n.area) for area in world.partition.areas for n in area.neighbours]
@@ -145,11 +146,29 @@ def draw_world(rng: np.random.Generator) -> World:
         spared = [lasts or rng.random() >= missing or m == voltmeter for m, lasts in zip(meters, lasting, strict=True)]
         kept = [m for m, stays in zip(read_meters(rng, meters, flow), spared, strict=True) if stays]
         central.append(process_bad_data(network, kept, tolerance=1e-11))
-        by_area: dict[str, list[Measurement]] = {area.name: [] for area in partition.areas}
-        for measurement in kept:
-            by_area[partition.area_of_meter(measurement.meter)].append(measurement)
-        telemetry.append(by_area)
+        telemetry.append(_split(partition, kept))
     return World(network, partition, tuple(telemetry), tuple(central))
+
+
+def draw_unbalanced_world(rng: np.random.Generator) -> World:
+    """The feeder ieee13 in 3 to 6 areas. Loads change from scan to scan, each leg by itself."""
+    scenario = load_scenario("ieee13", changes={"areas": {"count": int(rng.integers(3, 7))}})
+    network, telemetry, central = scenario.network, [], []
+    for _ in range(SCANS):
+        factors = rng.uniform(0.6, 1.1) * rng.lognormal(0.0, 0.3, len(network.loads))
+        loads = (replace(load, s=factor * load.s) for load, factor in zip(network.loads, factors, strict=True))
+        readings = read_meters(rng, scenario.meters, solve_power_flow(replace(network, loads=tuple(loads))))
+        central.append(process_bad_data(network, readings, tolerance=1e-11))
+        telemetry.append(_split(scenario.partition, readings))
+    return World(network, scenario.partition, tuple(telemetry), tuple(central))
+
+
+def _split(partition: Partition, readings: Sequence[Measurement]) -> dict[str, list[Measurement]]:
+    """Area -> its readings."""
+    by_area: dict[str, list[Measurement]] = {area.name: [] for area in partition.areas}
+    for measurement in readings:
+        by_area[partition.area_of_meter(measurement.meter)].append(measurement)
+    return by_area
 
 
 def find_gap(bus: SimulatedBus, world: World) -> float:
@@ -191,7 +210,7 @@ def _sigmas_off(world: World, state: StateMessage) -> float:
 
 def _distance(world: World, state: StateMessage) -> tuple[np.ndarray, np.ndarray]:
     central = world.central[state.header.scan - 1].result
-    rows = [world.network.row[bus] for bus in state.buses]
+    rows = [world.network.node(bus, phase) for bus, phase in state.nodes]
     turned = np.array(state.va) - central.va[rows]
     return abs(np.array(state.vm) - central.vm[rows]), abs((turned + np.pi) % (2 * np.pi) - np.pi)
 

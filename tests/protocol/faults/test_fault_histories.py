@@ -24,6 +24,15 @@ def test_after_any_history_of_faults_the_areas_are_good_and_at_the_centralised_e
     assert outcome.wrong <= 0.003 * outcome.good
 
 
+@pytest.mark.random_cases(few=1, long=4, many=100)
+def test_so_they_are_where_buses_have_phases(random_seed: int):
+    outcome = run_history(random_seed, phases=True)
+    assert outcome.gap <= GAP
+    assert not math.isnan(outcome.settled_s)
+    assert outcome.good >= outcome.areas
+    assert outcome.wrong == 0
+
+
 def test_a_history_repeats_to_the_bit():
     with back_end("sparse"):
         assert run_history(3) == run_history(3)
