@@ -16,6 +16,7 @@ from dsse_core.estimation.state_limits import DEFAULT_OPERATING_LIMITS
 from dsse_core.grid.network import Network
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
 from dsse_core.results.results import Results, WithTables, results_of_estimate, results_of_power_flow
+from dsse_core.results.units import base_kw
 from scenarios.check import check_scenario
 from scenarios.named_grid import load_grid
 from scenarios.scenario import Scenario
@@ -84,11 +85,11 @@ class PowerFlow(WithTables):
     @property
     def loss_kw(self) -> float:
         """Active losses of the whole network, kW."""
-        return 1000.0 * self.result.network.base_mva * self.result.losses.real
+        return base_kw(self.result.network) * self.result.losses.real
 
     def __repr__(self) -> str:
         name = self.scenario.name if self.scenario else self.result.network.name
-        return f"<PowerFlow of {name!r}: {len(self.result.vm)} buses, losses {self.loss_kw:.6g} kW>"
+        return f"<PowerFlow of {name!r}: {len(self.result.network.buses)} buses, losses {self.loss_kw:.6g} kW>"
 
 
 @overload

@@ -12,6 +12,7 @@ from coordinator.lab.evaluation.scan_estimates import ScanEstimates
 from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.grid.network import Network
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
+from dsse_core.results.units import base_kw
 from scenarios.scenario import Scenario
 
 VERSION = 2
@@ -40,7 +41,7 @@ def replay_as_json(scenario: Scenario, found: Mapping[str, Any]) -> dict[str, An
 def power_flow_as_json(solved: Scenario | Network, result: PowerFlowResult) -> dict[str, Any]:
     """The content of the ``result.json`` of ``dsse powerflow``."""
     network = result.network
-    loss = result.losses * 1000 * network.base_mva
+    loss = result.losses * base_kw(network)
     how = {"iterations": result.iterations, "method": result.method}
     found = {"loss_kw": loss.real, "loss_kvar": loss.imag} | how
     of_network = {"version": VERSION, "network": {"name": network.name, "buses": len(network.buses)}}

@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import consensus_dsse as dsse
 from agents.messages.packing import StateMessage
 from agents.protocol.configuration import Configuration
+from coordinator.lab.evaluation.answers import power_flow_as_json
 from coordinator.lab.evaluation.result import RunResult
 from coordinator.lab.simulator.simulate import Simulation, simulate_scenario
 from coordinator.lab.simulator.subscriber import Subscriber
@@ -57,6 +59,15 @@ def test_loss_and_delta_windings_at_boundaries_change_nothing(tmp_path: Path):
     assert lossy.verdict.lost > 0
     assert lossy.verdict.gap_vm_pu is not None
     assert lossy.verdict.gap_vm_pu < 1e-9
+
+
+def test_losses_are_those_of_all_phases_in_kw():
+    solved = dsse.power_flow(SCENARIO)
+    content = power_flow_as_json(SCENARIO, solved.result)["power_flow"]
+    assert solved.loss_kw == pytest.approx(solved.areas.loss_kw.sum())
+    assert content["loss_kw"] == pytest.approx(solved.areas.loss_kw.sum())
+    assert content["loss_kvar"] == pytest.approx(solved.areas.loss_kvar.sum())
+    assert repr(solved).startswith(f"<PowerFlow of 'feeder': {len(SCENARIO.network.buses)} buses")
 
 
 def test_text_names_nodes_and_conductors(run: RunResult):
