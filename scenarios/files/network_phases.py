@@ -114,6 +114,10 @@ def read_phase_parts(file: NetworkFile, kv: Mapping[int, float], phases: Mapping
         _add(parts, ends, _read_bank(bank, place(f"transformer[{k}]")))
     for k, load in enumerate(file.load, 1):
         parts.loads += _read_legs(load, place(f"load[{k}]"))
+    for k, source in enumerate(file.source, 1):
+        if source.kind == "voltage":
+            problem = "no source but the slack holds the voltage of phases; use kind 'power' with p_mw and q_mvar"
+            place(f"source[{k}]").refuse("kind", problem)
     return parts
 
 

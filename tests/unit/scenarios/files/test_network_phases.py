@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.loads import Load
-from dsse_core.grid.network import Network
+from dsse_core.grid.network import Branch, Network
 from dsse_core.grid.primitives import Side, build_bank, build_centre_tapped, build_line, connect
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.files.network_file import load_case, load_network
@@ -104,6 +105,42 @@ def test_the_clock_of_a_bank_is_the_lag_of_its_low_side(tmp_path: Path) -> None:
     assert load(tmp_path, low).branch("bank").primitive.y == pytest.approx(
         build_bank(connect("abc", "wye"), connect("abc", "delta", (1.0, 1.02, 1.05)), 0.5 / (0.01 + 0.06j)).y
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "high", "low", "kv", "kva"),
+    [
+        ("dy", "delta", "grounded wye", 12.47, 6000.0),
+        ("yd", "wye", "delta", 12.47, 6000.0),
+        ("grdyd", "grounded wye", "delta", 12.47, 6000.0),
+        ("yy", "grounded wye", "grounded wye", 12.47, 6000.0),
+        ("oyod", "a,b", "ab,bc", 7.2 * 3**0.5, 4000.0),
+    ],
+)
+def test_banks_by_their_parameters_have_the_matrices_of_opendss(
+    tmp_path: Path, name: str, high: str, low: str, kv: float, kva: float
+) -> None:
+    at_from = f'{{ bus = 2, phases = "{"ab" if name == "oyod" else "abc"}", kv = {kv}, connection = "{high}" }}'
+    bank = f"""[[transformer]]
+        kva = {kva}
+        r_percent = 1.0
+        x_percent = 6.0
+        windings = [{at_from}, {{ bus = 4, phases = "abc", kv = 4.16, connection = "{low}" }}]"""
+    lines = GOOD.split("[[transformer]]")[0].replace("12.0", "12.47").replace("base_kv = 4.0", "base_kv = 4.16")
+    found = matrix_of([load(tmp_path, lines + bank).branch("2-4")])
+    converted = [b for b in load_feeder(f"4bus-{name}").branches if (b.from_bus, b.to_bus) == (2, 3)]
+    assert found == pytest.approx(matrix_of(converted), rel=1e-12, abs=1e-12)
+
+
+def matrix_of(branches: Sequence[Branch]) -> np.ndarray:
+    """The admittances of parallel branches over phases a, b, c at both ends."""
+    Y = np.zeros((6, 6), dtype=complex)
+    for branch in branches:
+        primitive = branch.primitive
+        assert primitive is not None
+        ports = [*("abc".index(p) for p in primitive.from_phases), *(3 + "abc".index(p) for p in primitive.to_phases)]
+        Y[np.ix_(ports, ports)] += primitive.y
+    return Y
 
 
 def test_the_zero_sequence_of_a_line_couples_its_phases(tmp_path: Path) -> None:
@@ -261,6 +298,10 @@ def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
         (
             ("r_percent = 1.0\nx_percent = 6.0", "r_percent = 0.0\nx_percent = 0.0"),
             "transformer[1].x_percent: the impedance of a unit is 0 p.u.; it must lie between 1e-09",
+        ),
+        (
+            ('kind = "power"', 'kind = "voltage", vm_pu = 1.0'),
+            "source[2].kind: no source but the slack holds the voltage",
         ),
         (("kva = 3000.0", "kva = 1e300"), "transformer[1].kva is 1e+297 MVA; it must lie between"),
         (("kv = 2.0", "kv = 1e-300"), "load[2].kv is 1e-300 kV; it must lie between"),
