@@ -71,7 +71,7 @@ class AsynchronousProtocol(AreaProtocol):
         self._estimate: Estimate | None = None
         self._notes: tuple[str, ...] = ()
         self._has_solved = False  # since the state was last shown
-        self._limits = EstimateLimits(content.limits, [bus.id for bus in content.area.network.buses], content.meters)
+        self._limits = EstimateLimits(content.limits, content.area.network, content.meters)
         self._gateways = GatewayWatch(content.area)
         self._estimated_scan = 0
         self._sent: Estimate | None = None  # the last one sent to neighbours

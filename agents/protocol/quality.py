@@ -20,6 +20,7 @@ from agents.strategies.interface import Estimate
 from dsse_core.estimation.decision import Totals
 from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.grid.measurement import Meter, Source
+from dsse_core.grid.network import Network
 from dsse_core.reading_rules import LEAST_LEAD_S
 from dsse_core.split_identity import SplitIdentity, SplitUse, are_of_one, describe_other, find_newest
 
@@ -76,9 +77,9 @@ def assess_from_outside(state: StateMessage | None, silence: str, disputes: Sequ
 class EstimateLimits:
     """Limits that an estimate of an area must keep: voltages within ``limits``, most of ``meters`` in use."""
 
-    def __init__(self, limits: StateLimits, buses: Sequence[int], meters: Iterable[Meter]) -> None:
+    def __init__(self, limits: StateLimits, network: Network, meters: Iterable[Meter]) -> None:
         self._limits = limits
-        self._buses = np.array(buses)
+        self._network, self._nodes = network, "nodes" if network.node_phases else "buses"
         self._n_meters = sum(meter.source is not Source.VIRTUAL for meter in meters)
 
     def find_breaches(self, estimate: Estimate) -> Iterator[Finding]:
@@ -90,8 +91,8 @@ class EstimateLimits:
             band = f"{limits.lowest_vm:g} to {limits.highest_vm:g} p.u."
             yield Finding(
                 DEGRADED,
-                f"voltages of {outside.size} buses are outside {band}, the farthest is {vm[worst]:.3g} p.u. at bus "
-                f"{self._buses[worst]}",
+                f"voltages of {outside.size} {self._nodes} are outside {band}, the farthest is {vm[worst]:.3g} p.u. at "
+                f"bus {self._network.node_names[worst]}",
                 "voltages are outside",
             )
         if len(estimate.removed) > limits.most_removed * self._n_meters:

@@ -78,8 +78,7 @@ class RoundsState:
         self._splits = splits
         self._published = published
         self._end = end
-        buses = [bus.id for bus in content.area.network.buses]
-        self._limits = EstimateLimits(content.limits, buses, content.meters)
+        self._limits = EstimateLimits(content.limits, content.area.network, content.meters)
         self._estimate: Estimate | None = None
         self._outcome: Outcome | None = None  # of the estimate
         self._of_scan = 0

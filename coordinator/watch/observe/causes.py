@@ -21,9 +21,11 @@ from coordinator.watch.observe.notes import BAD_DATA, Noted
 from coordinator.watch.observe.summary import Summary
 from coordinator.watch.observe.view import OVER_S, AreaView, View
 from dsse_core.grid.measurement import MeasurementKind, read_meter_id
+from dsse_core.grid.nodes import PHASE
 from dsse_core.printable import listed, printable, shortened
 
 ALARM, WARNING = "alarm", "warning"
+NODE = re.compile(rf"\b(\d{{1,15}})(\.(?:{PHASE})(?!\w))?")  # a bus, or a phase of it
 
 
 class Words(NamedTuple):
@@ -501,8 +503,8 @@ class _Findings:
             yield self.make("distrust", words, noted.since, areas=(area.name, noted.parts["other"]))
         pairs: dict[frozenset[str], _Difference] = {}
         for area, noted in self.noted("mismatch"):
-            bus, pair = _first_number(noted.parts["buses"]), frozenset((area.name, noted.parts["other"]))
-            said = _Difference(bus, _number(noted.parts["vm"]), math.radians(_number(noted.parts["va"])), noted.since)
+            at, pair = _find_first(noted.parts["buses"]), frozenset((area.name, noted.parts["other"]))
+            said = _Difference(at, _number(noted.parts["vm"]), math.radians(_number(noted.parts["va"])), noted.since)
             pairs[pair] = max(pairs.get(pair, said), said, key=lambda difference: difference.size)
         for area in self.there.values():
             for other, met in area.meetings.items():
@@ -519,7 +521,7 @@ class _Findings:
                 words = {
                     "area": liar,
                     "others": listed(others, MOST_NAMED),
-                    "bus": worst.bus,
+                    "bus": worst.at,
                     "difference": worst.words,
                 }
                 buses = tuple(sorted({difference.bus for difference in mine.values()}))
@@ -527,7 +529,7 @@ class _Findings:
                 pairs = {pair: difference for pair, difference in pairs.items() if liar not in pair}
         for pair, worst in pairs.items():
             names = tuple(sorted(pair))
-            words = {"area": names[0], "other": names[-1], "bus": worst.bus, "difference": worst.words}
+            words = {"area": names[0], "other": names[-1], "bus": worst.at, "difference": worst.words}
             yield self.make("mismatch", words, worst.since, areas=names, buses=(worst.bus,))
 
     def find_readings(self) -> Iterator[Cause]:
@@ -543,9 +545,13 @@ class _Findings:
                 continue
             seen.add(about)
             parts = {"area": area.name, **noted.parts}
-            buses = tuple(int(word) for word in re.findall(r"\d{1,15}", noted.parts.get("buses", "")))[:MOST_EFFECTS]
+            named = NODE.findall(noted.parts.get("buses", ""))[:MOST_EFFECTS]
+            buses = tuple(dict.fromkeys(int(bus) for bus, _ in named))
             meters = [noted.parts[name] for name in ("meter",) if name in noted.parts]
-            parts["bus"], parts["hint"] = str(next(iter(buses), "")), "".join(f"; {name} stands out" for name in meters)
+            parts["bus"], parts["hint"] = (
+                "".join(next(iter(named), ())),
+                "".join(f"; {name} stands out" for name in meters),
+            )
             if noted.kind == "undecided":
                 meters += noted.parts["others"].split(", ")
                 parts["meters"] = _describe_meters(meters)
@@ -566,7 +572,9 @@ class _Findings:
         loading, voltage, limits = summary.loading, summary.voltage, summary.limits
         for worst in loading.worst[:1]:
             words = {"branch": worst.at, "percent": f"{worst.value:.1f}", "more": _and_more(loading.outside)}
-            yield self.make("loading", words, None, branches=tuple(found.at for found in loading.worst))
+            labels = [found.at for found in loading.worst]
+            branches = [label.rpartition(".")[0] for label in labels] if summary.has_phases else labels
+            yield self.make("loading", words, None, branches=tuple(dict.fromkeys(branches)))
         for worst in voltage.worst[:1]:
             is_low = worst.value < limits.lowest_vm
             limit, kind = (limits.lowest_vm, "low voltage") if is_low else (limits.highest_vm, "high voltage")
@@ -598,12 +606,16 @@ class _Findings:
 
 
 class _Difference(NamedTuple):
-    """The difference of two areas at ``bus``, p.u. and rad."""
+    """The difference of two areas at a bus or node, such as 671.a, p.u. and rad."""
 
-    bus: int
+    at: str
     vm: float
     va: float
     since: float | None
+
+    @property
+    def bus(self) -> int:
+        return int(self.at.partition(".")[0])
 
     @property
     def size(self) -> float:
@@ -639,8 +651,10 @@ def _number(text: str) -> float:
         return 0.0
 
 
-def _first_number(text: str) -> int:
-    return int(next(iter(re.findall(r"\d{1,15}", text)), 0))
+def _find_first(text: str) -> str:
+    """The first bus or node in ``text``, 0 where it has none."""
+    found = NODE.search(text)
+    return found[0] if found else "0"
 
 
 def _describe_meters(meters: Sequence[str]) -> str:

@@ -32,7 +32,8 @@ PATTERNS = {
     r"longer) \(.*\)(?:; (?P<meter>\S+) stands out)?.*",
     "undecided": r"(?P<meter>\S+) is removed, and the readings do not tell it from (?P<others>.*): check .*",
     "many removed": r"(?P<count>\d+ of \d+) meters are removed, more than .*",
-    "band": r"voltages of \d+ buses are outside (?P<band>.*), the farthest is (?P<vm>\S+) p\.u\. at bus (?P<buses>\S+)",
+    "band": r"voltages of \d+ (?:buses|nodes) are outside (?P<band>.*), the farthest is (?P<vm>\S+) "
+    r"p\.u\. at bus (?P<buses>\S+)",
     "impostor": r"messages of (?P<other>\S+) are rejected: one announced scan .*",
     "unreadable": r"payloads of (?P<other>\S+) are rejected, (?P<why>.*)",
     "under way": r"the first estimate is under way|a newer estimate, of scan \d+, is under way|.* wait for the next "

@@ -11,7 +11,7 @@ import numpy as np
 from coordinator.watch.observe.grid_tables import OFF, REMOVED, SILENT, UNKNOWN, GridTables, Tables
 from coordinator.watch.observe.view import Extreme
 from dsse_core.estimation.state_limits import DEFAULT_OPERATING_LIMITS, OperatingLimits
-from dsse_core.results.table import Table, name_by_phase
+from dsse_core.results.table import PHASE, Table, name_by_phase
 
 MOST_WORST = 4  # violations of one limit that are named
 UNUSED = (REMOVED, SILENT, OFF, UNKNOWN)  # meters without an influence on the estimate
@@ -46,7 +46,8 @@ class Power:
 class Summary:
     """Voltage of buses in p.u., loading in percent and current in A of branches in service, normalised residuals of
     meters in use; powers: injection of the substation, losses, loads and generation of the other buses by the sign of
-    their injections. ``limits``: of operation. Only voltage and residual are known without a scenario.
+    their injections. ``limits``: of operation. Only voltage and residual are known without a scenario. ``has_phases``:
+    the voltages are those of nodes, such as 671.a, and branches count by their conductors, such as 632-671.a.
     """
 
     voltage: Extent
@@ -58,6 +59,7 @@ class Summary:
     load: Power = Power()
     generation: Power = Power()
     limits: OperatingLimits = DEFAULT_OPERATING_LIMITS
+    has_phases: bool = False
 
 
 def summarise(tables: Tables, known: GridTables | None) -> Summary:
@@ -65,7 +67,7 @@ def summarise(tables: Tables, known: GridTables | None) -> Summary:
     limits = known.scenario.operating_limits if known else DEFAULT_OPERATING_LIMITS
     voltage, residual = _find_voltage(tables.buses, limits), _find_residual(tables.meters, limits)
     if known is None or tables.branches is None:
-        return Summary(voltage, residual, limits=limits)
+        return Summary(voltage, residual, limits=limits, has_phases=not {*tables.buses.phase} <= {PHASE})
     buses, branches = tables.buses, tables.branches
     ids, fresh, used = name_by_phase(branches.branch, branches.phase), branches.fresh, branches.in_service
     rated = used & known.is_rated
@@ -84,6 +86,7 @@ def summarise(tables: Tables, known: GridTables | None) -> Summary:
         load=_add_up(np.maximum(-p, 0.0), np.maximum(-q, 0.0), elsewhere),
         generation=_add_up(np.maximum(p, 0.0), np.maximum(q, 0.0), elsewhere),
         limits=limits,
+        has_phases=not known.scenario.network.table.nodes.is_balanced,
     )
 
 

@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from dsse_core.printable import printable, shortened
-from dsse_core.results.table import Table
+from dsse_core.results.table import PHASE, Table, name_by_phase
 
 NUMBERS = "vm_pu", "va_deg", "sigma_vm_pu", "p_kw", "q_kvar"
-BUSES_FIRST = "bus", "area", "quality", "value_age_s", *NUMBERS  # columns in order, as far as they fit
+BUSES_FIRST = "node", "bus", "area", "quality", "value_age_s", *NUMBERS  # columns in order, as far as they fit
 METERS_FIRST = "meter", "area", "status", "normalised_residual", "reading", "estimate", "unit", "quality", "value_age_s"
 OF_UNITS = "reading", "estimate", "sigma"  # columns in which each meter has its own unit
 DIGITS = 5  # significant digits of a number
@@ -21,7 +21,11 @@ LARGEST = 1e9  # larger numbers have an exponent
 
 
 def write_table(table: Table, width: int, most: int | None) -> Iterator[str]:
-    """Lines of ``width`` characters at most: ``most`` rows, for buses those with voltages farthest from 1 p.u."""
+    """Lines of ``width`` characters at most: ``most`` rows, for buses those with voltages farthest from 1 p.u.
+
+    Rows of buses with phases are named by their nodes, such as 671.a.
+    """
+    table = _name_nodes(table)
     rows = _choose_rows(table, most)
     first = METERS_FIRST if "meter" in table.columns else BUSES_FIRST
     order = dict.fromkeys((*(name for name in first if name in table.columns), *table.columns))
@@ -35,6 +39,14 @@ def write_table(table: Table, width: int, most: int | None) -> Iterator[str]:
         yield "  ".join(cell.rjust(wide) if is_number else cell.ljust(wide) for cell, wide, is_number in cells).rstrip()
     if len(rows) < len(table):
         yield f"... and {len(table) - len(rows)} rows more: --once shows all"
+
+
+def _name_nodes(table: Table) -> Table:
+    """``table`` with the column ``node`` in place of ``bus`` and ``phase``, where buses have phases."""
+    if not {"bus", "phase"} <= {*table.columns} or {*table.phase} <= {PHASE}:
+        return table
+    nodes = {"node": name_by_phase(map(str, table.bus.tolist()), table.phase)}
+    return Table("nodes", nodes | {name: table[name] for name in table.columns if name not in ("bus", "phase")})
 
 
 def _choose_rows(table: Table, most: int | None) -> list[int]:

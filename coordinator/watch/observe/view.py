@@ -26,11 +26,11 @@ class Meeting:
     """The ``buses`` that two areas publish, and the largest differences of their voltages there, p.u. and rad.
 
     ``vm``: None where the states are of different scans. ``va``: None unless the angles of both count from the
-    substation. ``at``: the bus of the larger of the two.
+    substation. ``at``: the bus, or node such as 671.a, of the larger of the two.
     """
 
     buses: tuple[int, ...]
-    at: int
+    at: str
     vm: float | None = None
     va: float | None = None
 

@@ -47,4 +47,4 @@ def describe_tables(tables: Mapping[str, Table]) -> dict[str, dict[str, list[Any
 
 def describe_summary(summary: Summary) -> dict[str, dict[str, Any]]:
     """A summary by its quantities."""
-    return asdict(summary)
+    return {name: values for name, values in asdict(summary).items() if name != "has_phases"}

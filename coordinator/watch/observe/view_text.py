@@ -132,9 +132,10 @@ def _write_view(view: View, width: int, summary: Summary | None) -> Iterator[tup
 def write_summary(summary: Summary) -> Iterator[str]:
     """Sentences on the voltages and loadings of the present, and on the powers of the grid."""
     voltage, loading, head, limits = summary.voltage, summary.loading, summary.head, summary.limits
-    yield _describe_extent(voltage, "buses", ".4f", " p.u.", f"{limits.lowest_vm:g} to {limits.highest_vm:g}")
+    buses, branches = ("nodes", "conductors") if summary.has_phases else ("buses", "branches")
+    yield _describe_extent(voltage, buses, ".4f", " p.u.", f"{limits.lowest_vm:g} to {limits.highest_vm:g}")
     if loading.total:
-        yield _describe_extent(loading, "branches with a rating", ".1f", " %", f"{limits.most_loading_percent:g}")
+        yield _describe_extent(loading, f"{branches} with a rating", ".1f", " %", f"{limits.most_loading_percent:g}")
     if summary.loss.total:
         powers = [("head", head), ("load", summary.load), ("generation", summary.generation), ("losses", summary.loss)]
         said = [f"{name} {power.p_kw:.1f}{_count_parts(power)}" for name, power in powers if power.p_kw is not None]

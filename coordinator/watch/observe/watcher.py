@@ -326,14 +326,14 @@ class Watcher:
             return None
         nodes = [(bus, phase) for bus in buses for phase in state.phases_at(bus) if phase in theirs.phases_at(bus)]
         if theirs.header.scan != state.header.scan or not nodes:
-            return Meeting(buses, buses[0])
+            return Meeting(buses, str(buses[0]))
         pairs = [(state.row_of(*node), theirs.row_of(*node)) for node in nodes]
         vm = [abs(state.vm[i] - theirs.vm[j]) for i, j in pairs]
         if not (state.referenced and theirs.referenced):
-            return Meeting(buses, nodes[vm.index(max(vm))][0], max(vm))
+            return Meeting(buses, name_node(*nodes[vm.index(max(vm))]), max(vm))
         va = [abs(math.remainder(state.va[i] - theirs.va[j], 2 * math.pi)) for i, j in pairs]
         larger = vm if max(vm) >= max(va) else va
-        return Meeting(buses, nodes[larger.index(max(larger))][0], max(vm), max(va))
+        return Meeting(buses, name_node(*nodes[larger.index(max(larger))]), max(vm), max(va))
 
 
 def count_exchanges(state: StateMessage) -> int:
