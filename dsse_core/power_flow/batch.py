@@ -12,6 +12,7 @@ from dsse_core.compiling import find_obstacle
 from dsse_core.errors import InvalidInputError, PowerFlowDivergedError
 from dsse_core.grid.network import Network
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_by_newton, solve_with_plan
+from dsse_core.power_flow.path_sums import TreePaths
 from dsse_core.power_flow.plan import MethodChoice, PowerFlowPlan, build_power_flow_plan
 from dsse_core.row_threads import find_threads, share_out
 
@@ -73,7 +74,7 @@ def solve_power_flow_batch(
     vm, va = np.full((2, *p.shape), np.nan)
     limit, iterations = plan.find_limit(tolerance), np.zeros(len(p), dtype=np.int64)
     rows = _Rows(plan, p, q, limit, max_iterations, vm, va, iterations, {})
-    is_compiled = not isinstance(plan.paths, str) and _pays(plan, len(p), is_kept) and find_obstacle("batch") is None
+    is_compiled = isinstance(plan.paths, TreePaths) and _pays(plan, len(p), is_kept) and find_obstacle("batch") is None
     share_out(len(p), find_threads(threads), rows.by_sweeps if is_compiled else rows.one_by_one)
     return PowerFlowBatch(plan.network, rows.vm, rows.va, rows.iterations, dict(sorted(rows.failures.items())))
 
@@ -110,7 +111,7 @@ class _Rows:
         from dsse_core.power_flow.sweeps import build_tables, sweep_rows  # numba
 
         plan, paths = self.plan, self.plan.paths
-        assert not isinstance(paths, str)
+        assert isinstance(paths, TreePaths)
         n, order = len(paths.order), paths.order
         tables = build_tables(plan.network, paths)
         start = plan.start_voltage[order], plan.start[order]

@@ -16,6 +16,7 @@ from dsse_core.grid.admittance import Admittance, build_admittance
 from dsse_core.grid.measurement import Meter, find_meter_problems
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Network
+from dsse_core.power_flow.current_sweeps import CurrentSweeps
 from dsse_core.power_flow.path_sums import TreePaths, sweep_paths
 from dsse_core.power_flow.plan import MethodChoice, PowerFlowPlan, build_power_flow_plan, find_voltages
 
@@ -83,8 +84,9 @@ def solve_power_flow(
     """Solves ``v conj(ybus v) = s_generation - s_load`` at all nodes from the unloaded network with all voltages held.
 
     Backward and forward sweeps solve it where the network is balanced and radial and no bus but the slack holds its
-    voltage. Where sweeps do not reach the tolerance, and in all other networks, Newton-Raphson does. Nothing is
-    compiled, and numba is not loaded. With phases powers and mismatches are those of nodes, loads are the legs.
+    voltage, and all networks with phases. Where sweeps do not reach the tolerance, and in all other networks,
+    Newton-Raphson does. Nothing is compiled, and numba is not loaded. With phases powers and mismatches are those of
+    nodes, loads are the legs.
 
     Args:
         slack: (bus, vm in p.u.) of a local slack that replaces the network's own, at angle 0.
@@ -115,7 +117,12 @@ def solve_with_plan(
     Raises:
         PowerFlowDivergedError: names the bus with the largest mismatch.
     """
-    if not isinstance(plan.paths, str) and (found := _sweep(plan.paths, plan, scheduled, limit)):
+    found = None
+    if isinstance(plan.paths, TreePaths):
+        found = _sweep(plan.paths, plan, scheduled, limit)
+    elif isinstance(plan.paths, CurrentSweeps):
+        found = _sweep_currents(plan.paths, plan, scheduled, limit)
+    if found is not None:
         return found
     return solve_by_newton(plan, scheduled, limit, max_iterations)
 
@@ -146,6 +153,23 @@ def _sweep(paths: TreePaths, plan: PowerFlowPlan, scheduled: np.ndarray, limit: 
         return None
     va, vm = np.split(plan.start, 2)
     return PowerFlowResult(plan.network, vm * abs(u), va + np.angle(u), injection, sweeps, "sweep")
+
+
+def _sweep_currents(
+    sweeps: CurrentSweeps, plan: PowerFlowPlan, scheduled: np.ndarray, limit: np.ndarray
+) -> PowerFlowResult | None:
+    """The result; None where sweeps do not settle, or a node away from the source does not meet its schedule."""
+    if (found := sweeps.run(scheduled)) is None:
+        return None
+    v, n_sweeps = found
+    va, _ = np.split(plan.start, 2)
+    va, vm = va + np.angle(v * plan.start_voltage.conj()), abs(v)
+    rows = plan.p_rows
+    p, q = plan.find_injections(np.concatenate([va, vm])).reshape(2, -1)
+    if not (np.maximum(abs(p - scheduled.real[rows]), abs(q - scheduled.imag[rows])) <= limit[rows]).all():
+        return None
+    injection = v * (plan.admittance.ybus @ v).conj()
+    return PowerFlowResult(plan.network, vm, va, injection, n_sweeps, "sweep")
 
 
 def _newton(

@@ -20,6 +20,7 @@ from dsse_core.grid.measurement_model import MeasurementModel, build_model_of_ro
 from dsse_core.grid.meter_table import KINDS
 from dsse_core.grid.network import Control, Network
 from dsse_core.grid.nodes import PHASES
+from dsse_core.power_flow.current_sweeps import CurrentSweeps
 from dsse_core.power_flow.path_sums import TreePaths, lay_out_paths
 from dsse_core.printable import listed
 
@@ -33,18 +34,19 @@ class PowerFlowPlan:
     """The plan of power flows of ``network``.
 
     ``start``: x = [va; vm], (2 n_nodes,), rad and p.u., of the unloaded network with all voltages held. ``held``: bus
-    -> the voltage that it holds, p.u. ``paths``: the tree to sweep over, or, as text, why Newton's method is taken.
+    -> the voltage that it holds, p.u. ``paths``: the tree to sweep over, with phases the sweeps, or, as text, why
+    Newton's method is taken.
     """
 
     network: Network
     slack_bus: int
     held: Mapping[int, float]
     start: np.ndarray
-    paths: TreePaths | str
+    paths: TreePaths | CurrentSweeps | str
 
     @cached_property
     def admittance(self) -> Admittance:
-        return build_admittance(self.network)
+        return self.paths.admittance if isinstance(self.paths, CurrentSweeps) else build_admittance(self.network)
 
     @property
     def start_voltage(self) -> np.ndarray:
@@ -161,14 +163,14 @@ def build_power_flow_plan(
         raise InvalidInputError(f"power flow of network {network.name!r}", problems)
     held = {g.bus: g.vm for g in network.generators if g.control is Control.VOLTAGE} | {slack_bus: slack_vm}
     vm, va = flat_start(network, slack_bus, held)
-    paths = _lay_out(network, slack_bus, held, method, vm)
-    return PowerFlowPlan(network, slack_bus, held, np.concatenate([va + slack_va, vm]), paths)
+    start = np.concatenate([va + slack_va, vm])
+    return PowerFlowPlan(network, slack_bus, held, start, _lay_out(network, slack_bus, held, method, start))
 
 
 def _lay_out(
-    network: Network, slack_bus: int, held: Mapping[int, float], method: MethodChoice, vm: np.ndarray
-) -> TreePaths | str:
-    """The tree to sweep over, or, as text, why sweeps are not used.
+    network: Network, slack_bus: int, held: Mapping[int, float], method: MethodChoice, start: np.ndarray
+) -> TreePaths | CurrentSweeps | str:
+    """The tree to sweep over, with phases the sweeps, or, as text, why sweeps are not used.
 
     Raises:
         InvalidInputError: sweeps are asked for and cannot serve.
@@ -178,11 +180,11 @@ def _lay_out(
         raise InvalidInputError("power flow", [f"method is {method!r}; choose one of {known}"])
     if method == "newton":
         return "not asked for"
+    if not network.table.nodes.is_balanced:  # no other bus holds its voltage
+        return CurrentSweeps(network, build_admittance(network), find_voltages(start), network.nodes_at(slack_bus))
     paths: TreePaths | str = "other buses than the slack hold their voltage"
-    if not network.table.nodes.is_balanced:
-        paths = "buses have phases"
-    elif len(held) == 1:
-        paths = lay_out_paths(network, slack_bus, vm)
+    if len(held) == 1:
+        paths = lay_out_paths(network, slack_bus, start[len(start) // 2 :])
     if isinstance(paths, str) and method == "sweep":
         problem = f"sweeps cannot serve: {paths}; choose 'auto' or 'newton'"
         raise InvalidInputError(f"power flow of network {network.name!r}", [problem])

@@ -64,8 +64,7 @@ def test_the_injections_of_the_solution_are_what_legs_draw_at_its_voltages(feede
     v = found.vm * np.exp(1j * found.va)
     produced = np.where(feeder.table.nodes.item == 4, 0.05 + 0.01j, 0)
     due = produced - feeder.legs.draw(v, find_nominal(feeder.table.nodes))
-    assert found.method == "newton"
-    assert found.iterations <= 6
+    assert found.method == "sweep"
     assert found.injection[3:] == pytest.approx(due[3:], abs=1e-12)
     assert found.vm[:3] == pytest.approx(1.01)
     assert found.va[:3] == pytest.approx(0.1 + np.radians([0, -120, 120]))
@@ -117,6 +116,15 @@ def test_equal_phases_have_the_voltages_of_the_balanced_network() -> None:
     assert three.iterations <= one.iterations
 
 
+def test_newton_takes_over_where_sweeps_do_not_settle() -> None:
+    """Near the most that a feeder carries sweeps creep."""
+    network = load_feeder("4bus-dy")
+    heavy = replace(network, loads=tuple(replace(load, s=1.3 * load.s) for load in network.loads))
+    found = solve_power_flow(heavy, method="sweep")
+    assert found.method == "newton"
+    assert 0.6 < found.vm.min() < 0.7
+
+
 def test_what_a_power_flow_with_phases_cannot_serve_is_refused_by_name(feeder: Network) -> None:
     floating = replace(feeder, buses=(*feeder.buses[:3], Bus(4, 4.16, phases="abc"), feeder.buses[4]))
     with pytest.raises(InvalidInputError, match="joins phase a of bus 4 to the slack bus 1; feed the phase"):
@@ -124,8 +132,6 @@ def test_what_a_power_flow_with_phases_cannot_serve_is_refused_by_name(feeder: N
     holding = replace(feeder, generators=(*feeder.generators, Generator(3, Control.VOLTAGE)))
     with pytest.raises(InvalidInputError, match="a generator holds the voltage of bus 3, which has phases"):
         solve_power_flow(holding)
-    with pytest.raises(InvalidInputError, match="sweeps cannot serve: buses have phases"):
-        solve_power_flow(feeder, method="sweep")
     with pytest.raises(PowerFlowDivergedError, match=r"at bus [35]"):
         solve_power_flow(replace(feeder, loads=(*feeder.loads, Load(5, "a", 9.0))))
 
@@ -152,9 +158,12 @@ UNGROUNDED = {"ieee37": 38, "ieee123": 1, "4bus-yd": 2, "4bus-grdyd": 2, "4bus-o
 @pytest.mark.parametrize("name", NAMES)
 def test_feeders_have_the_voltages_of_opendss(name: str) -> None:
     network = load_feeder(name)
-    found = solve_power_flow(network, tolerance=1e-12)
+    found, newton = (solve_power_flow(network, tolerance=1e-12, method=method) for method in ("sweep", "newton"))
+    assert (found.method, newton.method) == ("sweep", "newton")
+    assert found.vm == pytest.approx(newton.vm, abs=1e-11)
+    assert found.va == pytest.approx(newton.va, abs=1e-11)
+    assert newton.iterations <= 5
     apart = found.vm * np.exp(1j * found.va) - load_voltages(name)
-    assert found.iterations <= 5
     assert len(network.gauge.ungrounded) == UNGROUNDED.get(name, 0)
     for bus in network.buses[1:]:  # the first one is the source behind its impedance
         of_bus = apart[network.nodes_at(bus.id)]
