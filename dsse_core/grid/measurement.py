@@ -46,6 +46,10 @@ class MeasurementKind(StrEnum):
         return self in _OF_INJECTION
 
     @property
+    def of_voltage(self) -> bool:
+        return self in (MeasurementKind.VM, MeasurementKind.VA)
+
+    @property
     def has_total(self) -> bool:
         """True for powers, whose phases add up, and for the current of a bus."""
         return self in _HAVE_TOTAL
@@ -236,3 +240,9 @@ def _find_problems_of_phases(network: Network, meter: Meter) -> Iterable[str]:
         yield f"meter {meter.id}: name one phase{pair} of bus {bus.id}, which has {', '.join(list_phases(bus.phases))}"
     elif missing := [phase for phase in wanted if phase not in list_phases(there)]:
         yield f"meter {meter.id}: phase {', '.join(missing)} is not there, only {', '.join(list_phases(there))}"
+    elif len(wanted) == 1 and meter.kind.of_voltage and bus.id in network.gauge.ungrounded:
+        pairs = "".join(list_phases(bus.phases)[:2])
+        yield (
+            f"meter {meter.id}: bus {bus.id} stands in a part without ground, where a voltage to ground means nothing; "
+            f"meter between two phases, such as {meter.kind}@{bus.id}.{pairs}"
+        )

@@ -21,6 +21,7 @@ TOTAL = PHASES.index("")  # stands for all phases where buses have some
 UNKNOWN_BRANCH = "?"  # stands for the id of a branch that the network does not have
 _IS_OF_INJECTION = np.array([kind.of_injection for kind in KINDS])
 _IS_OF_BRANCH = np.array([kind.of_branch for kind in KINDS])
+_IS_OF_VOLTAGE = np.array([kind.of_voltage for kind in KINDS])
 _HAS_TOTAL = np.array([kind.has_total for kind in KINDS])
 _IS_VIRTUAL = np.array([kind.is_virtual for kind in KINDS])
 LISTED = ("kind", "bus", "branch", "source", "phases")  # attributes of a meter
@@ -166,6 +167,8 @@ def _have_nodes(network: Network, meters: Records[Meter]) -> bool:
     is_pair = at_bus & (table.other >= 0) & (table.other != table.node)
     is_there, is_total = np.where(at_bus, table.node, table.port) >= 0, table.phases[0] == TOTAL
     fits = np.where(is_total, _HAS_TOTAL[table.kind], is_there) & (is_alone | is_pair)
+    if ungrounded := network.gauge.ungrounded:
+        fits &= ~(is_alone & _IS_OF_VOLTAGE[table.kind] & np.isin(meters.columns["bus"], ungrounded))
     return bool((fits & (~must_be_virtual | is_total & find_virtual(meters))).all())
 
 

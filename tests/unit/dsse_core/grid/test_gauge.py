@@ -12,8 +12,10 @@ from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.gauge import Gauge
 from dsse_core.grid.loads import Load
+from dsse_core.grid.measurement import MeasurementKind, Meter, find_meter_problems
+from dsse_core.grid.meter_table import KINDS, NO_BRANCH, UNKNOWN, each_fits, make_meters
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
-from dsse_core.grid.nodes import Primitive
+from dsse_core.grid.nodes import PHASES, Primitive
 from dsse_core.grid.primitives import Connection, build_bank, build_line, connect
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 
@@ -102,3 +104,26 @@ def test_areas_know_the_gauge_of_the_whole_and_one_of_them_has_the_shunt() -> No
     assert [area.network.gauge for area in partition.areas] == [Gauge((3,), (3,)), Gauge((3, 4)), Gauge((4, 5))]
     grounded = build_partition(feeder(bank("delta", "grounded")), {"up": [1, 2, 3], "low": [3, 4, 5]})
     assert [area.network.gauge for area in grounded.areas] == [Gauge(), Gauge()]
+
+
+@pytest.mark.parametrize("kind", [MeasurementKind.VM, MeasurementKind.VA])
+def test_a_voltage_to_ground_in_a_part_without_ground_has_no_meter_and_those_between_phases_have(
+    kind: MeasurementKind,
+) -> None:
+    network = feeder(bank("grounded", "delta"))
+    for phases, bus, fits in (("a", 2, True), ("a", 4, False), ("bc", 4, True)):
+        meters = [Meter(kind, bus, phases=phases)]
+        problems = list(find_meter_problems(network, meters))
+        columns = make_meters(
+            network,
+            np.array([KINDS.index(kind)]),
+            np.array([bus]),
+            np.array([NO_BRANCH]),
+            phases=np.array([[PHASES.index(phases[0])], [PHASES.index(phases[1]) if len(phases) > 1 else UNKNOWN]]),
+        )
+        assert each_fits(network, columns) == fits
+        if fits:
+            assert problems == []
+        else:
+            assert problems[0].startswith(f"meter {kind}@4.a: bus 4 stands in a part without ground")
+            assert problems[0].endswith(f"meter between two phases, such as {kind}@4.ab")
