@@ -161,13 +161,15 @@ def run_rounds(
     def hear(at_no_load: bool) -> dict[str, dict[str, BoundaryInformation]]:
         return {name: {other: tell(other, name, at_no_load) for other in others} for name, others in beside.items()}
 
-    memory, found, no_load = Memory(), Rounds(sides, [], [], Memory()), {} if gone else hear(at_no_load=True)
+    memory, found, no_load = Memory(), Rounds(sides, [], [], Memory()), dict[str, dict[str, BoundaryInformation]]()
     while len(found.verdicts) < ENOUGH:
         for name, side in sides.items():
             if side.area.parent:
                 sides[side.area.parent.area].set_power(name, side.power_for(side.area.parent.area))
         memory, verdict = decide(memory, add_totals([side.totals() for side in sides.values()]))
         received = hear(at_no_load=False)
+        if not gone and any(side.is_first for side in sides.values()):
+            no_load = hear(at_no_load=True)
         for name, side in sides.items():
             side.carry_out(verdict, memory, received[name], no_load.get(name, {}))
             assert not side.failure
