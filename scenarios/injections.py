@@ -88,8 +88,9 @@ class Injections:
         return drawn
 
     def list_by_leg(self, is_bound: np.ndarray) -> np.ndarray:
-        """The columns of ``legs`` at the buses of ``is_bound`` (n_bus,) where all pairs have a meter."""
+        """Those of ``legs`` at the buses of ``is_bound`` (n_bus,) where they are all pairs, (2, n)."""
         item, n = self.network.table.nodes.item, len(is_bound)
         at_bus = item[self.legs[0]]
         is_whole = np.bincount(item[self.pairs[0]], minlength=n) == np.bincount(at_bus, minlength=n)
-        return np.flatnonzero((is_whole & is_bound)[at_bus])
+        legs: np.ndarray = self.legs[:, (is_whole & is_bound)[at_bus]]
+        return legs

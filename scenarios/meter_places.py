@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dsse_core.grid.meter_table import UNKNOWN, read_pair
-from dsse_core.grid.nodes import PhaseRows, list_phases, write_phases
+from dsse_core.grid.nodes import PHASES, PhaseRows, list_phases, write_phases
 
 EACH, TOTAL = "", "total"
 Place = int | str
@@ -30,6 +30,11 @@ class Spots:
 def join_spots(parts: Sequence[Spots]) -> Spots:
     """The spots of all ``parts``, one after the other."""
     return Spots(np.concatenate([part.row for part in parts]), np.concatenate([part.phases for part in parts], axis=1))
+
+
+def make_totals(row: np.ndarray) -> Spots:
+    """A spot for all phases of each bus or branch in ``row`` (n,) together."""
+    return Spots(row, np.stack([np.full(len(row), PHASES.index("")), np.full(len(row), UNKNOWN)]))
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,11 @@ from dsse_core.grid.nodes import list_phases
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
 from scenarios.files.scenario_file import MeasurementsTable, SigmaTable
 from scenarios.injections import Injections
-from scenarios.meter_places import EACH, TOTAL, Place, Sites, Spots, join_spots
+from scenarios.meter_places import EACH, TOTAL, Place, Sites, Spots, join_spots, make_totals
 
 KIND = MeasurementKind
 INJECTIONS = (KIND.P_INJECTION, KIND.Q_INJECTION)
+SUM_OF_CURRENTS = (KIND.I_REAL, KIND.I_IMAG)
 KINDS_AT_BUSES = {"voltage": (KIND.VM,), "angle": (KIND.VA,)}
 KINDS_ON_BRANCHES = {"flow": (KIND.P_FLOW, KIND.Q_FLOW), "current": (KIND.CURRENT,)}
 HAVE_TOTALS = ("flow", "injection")
@@ -106,7 +107,8 @@ def build_meters(table: MeasurementsTable, network: Network) -> Records[Meter]:
     """The meters of a scenario file on ``network``; unknown places are left out (``find_place_problems`` reports them).
 
     A bus without load and source injects nothing: under ``zero_injection = "virtual"`` it has an exact constraint in
-    place of an ordinary injection meter. With phases this holds for each node by itself.
+    place of an ordinary injection meter. With phases this holds for each node by itself, and the currents of a bus with
+    loads between phases alone sum to zero; where its loads can be told apart they are metered one by one.
     """
     return _Places(table, network).build()
 
@@ -116,11 +118,6 @@ def find_place_problems(table: MeasurementsTable, network: Network) -> Iterable[
     that is not there.
     """
     return _Places(table, network).find_problems()
-
-
-def find_virtual_nodes(table: MeasurementsTable, network: Network) -> np.ndarray:
-    """The rows of the nodes that inject exactly nothing, for every estimator."""
-    return _Places(table, network).virtual
 
 
 @dataclass(frozen=True)
@@ -153,11 +150,22 @@ class _Places:
         virtual: np.ndarray = nodes[(nodes >= 0) & is_idle[nodes]]
         return virtual
 
+    @cached_property
+    def ungrounded(self) -> np.ndarray:
+        """True for each bus whose currents sum to zero, for every estimator, (n_bus,)."""
+        is_ungrounded, listed = self.injections.is_ungrounded, self.table.zero_injection
+        if listed == "virtual":
+            return is_ungrounded
+        is_listed = np.zeros(len(is_ungrounded), dtype=bool)
+        is_listed[self.buses.list_whole(() if listed == "measured" else listed)] = True
+        return is_ungrounded & is_listed
+
     def build(self) -> Records[Meter]:
         groups = [_Group(kinds, self._at(key)) for key, kinds in KINDS_AT_BUSES.items()]
         groups += [_Group(kinds, self._on(key), of_branch=True) for key, kinds in KINDS_ON_BRANCHES.items()]
         groups += [_Group(INJECTIONS, self._find_injections())]
         groups += [_Group(INJECTIONS, self.buses.spots_of(self.virtual), source=Source.VIRTUAL)]
+        groups += [_Group(SUM_OF_CURRENTS, make_totals(np.flatnonzero(self.ungrounded)), source=Source.VIRTUAL)]
         columns = zip(*(group.columns(self.network) for group in groups), strict=True)
         kind, bus, branch, source, phases = (np.concatenate(column, axis=-1) for column in columns)
         return make_meters(self.network, kind, bus, branch, source, phases)
@@ -183,11 +191,15 @@ class _Places:
     def _find_injections(self) -> Spots:
         """The spots of meters of injection, without those that are virtual."""
         listed, nodes = self._listed("injection"), self.buses.rows
-        measured = nodes.of(self.buses.list_whole(listed))
+        whole, legs = self.buses.list_whole(listed), self.injections.list_by_leg(self.ungrounded)
+        is_by_leg = np.isin(whole, nodes.item[legs[0]])
+        measured = nodes.of(whole[~is_by_leg])
         measured = measured[~np.isin(measured, self.virtual)]
+        legs = legs[:, np.isin(nodes.item[legs[0]], whole)]
+        pairs = Spots(nodes.item[legs[0]], nodes.phase[legs])
         named = self.buses.find_named(listed)
         is_measured = ~np.isin(nodes.find(named.row, named.phases[0]), self.virtual)
-        return join_spots([self.buses.spots_of(measured), named.keep(is_measured)])
+        return join_spots([self.buses.spots_of(measured), pairs, named.keep(is_measured)])
 
     def find_problems(self) -> Iterator[str]:
         """Problems of all keys, as text."""
@@ -249,7 +261,7 @@ class _Places:
             )
             if problem:
                 yield f"{path}: {problem}"
-            elif not self._is_idle(place):
+            elif not (self._is_idle(place) or self._is_ungrounded(place)):
                 yield f"{path}: bus {name} has a load or a source in the network file; remove it here"
             if count > 1:
                 yield f"{path}: bus {name} is listed twice; keep one"
@@ -259,6 +271,9 @@ class _Places:
         """True where a node of ``place`` has no load and no source."""
         spots = self.buses.find([place])
         return bool(self.injections.is_idle[self.network.table.nodes.find(spots.row, spots.phases[0])].any())
+
+    def _is_ungrounded(self, place: Place) -> bool:
+        return bool(self.ungrounded[self.buses.list_whole([place])].any())
 
 
 def _order(counted: tuple[Place, int]) -> tuple[int, str]:

@@ -47,12 +47,12 @@ from scenarios.files.scenario_file import (
 from scenarios.files.shipped_files import find_scenario, find_shipped
 from scenarios.generate.cutting import cut_at, cut_into
 from scenarios.meters import (
+    INJECTIONS,
     SigmaRule,
     build_meters,
     build_sigma_rule,
     find_floor_problems,
     find_place_problems,
-    find_virtual_nodes,
 )
 from scenarios.reading_rules import build_reading_rules, find_gateway_problems
 
@@ -167,7 +167,7 @@ def load_scenario(
         raise InvalidInputError(file.called(path), problems)
     problems += find_place_problems(file.measurements, network)
     problems += find_floor_problems(file.measurements, network)
-    problems += _find_problem_of_source(file, network)
+    problems += _find_problems_of_phases(file, network)
     partition, partition_problems = _build_whole(network) if whole else _build_partition_of(file, network, area_buses)
     problems += partition_problems
     readings, reading_problems = _load_readings_of(file, path, network)
@@ -193,12 +193,19 @@ def _find_problems_of_names_and_times(file: ScenarioFile, area_buses: AreaBuses 
         yield f"areas.{name}: this name belongs to another process; choose another"
 
 
-def _find_problem_of_source(file: ScenarioFile, network: Network) -> Iterator[str]:
-    """A problem where areas with phases read their own power flows: their local slacks hold one voltage each."""
-    if file.telemetry.source == "area-power-flow" and not network.table.nodes.is_balanced:
+def _find_problems_of_phases(file: ScenarioFile, network: Network) -> Iterator[str]:
+    """Problems of keys that a network with phases has no use for: areas solve no power flow of their own."""
+    if network.table.nodes.is_balanced:
+        return
+    if file.telemetry.source == "area-power-flow":
         yield (
             f"telemetry.source: 'area-power-flow' does not suit network {network.name!r}: its buses have phases, and "
             "an area knows the voltage of no single phase at its local slack; set source = 'network'"
+        )
+    if file.faults.load_error:
+        yield (
+            f"faults.load_error: the buses of network {network.name!r} have phases, and areas solve no power flow with "
+            "load messages there; remove it, or give faults.link.load"
         )
 
 
@@ -272,23 +279,31 @@ def _load_readings_of(file: ScenarioFile, path: Path, network: Network) -> tuple
         readings = load_readings(path.parent / file.telemetry.file, network)
     except InvalidInputError as error:
         return (), [*problems, *(f"telemetry.file: {error.what}: {problem}" for problem in error.problems)]
-    virtual = find_virtual_nodes(file.measurements, network)
+    virtual = build_meters(file.measurements, network)
     problems += find_virtual_problems("telemetry.file", network, readings.columns["meter"], virtual)
     return readings, problems
 
 
-def find_virtual_problems(key: str, network: Network, meters: Sequence[Meter], virtual: np.ndarray) -> Iterator[str]:
+def find_virtual_problems(
+    key: str, network: Network, meters: Sequence[Meter], virtual: Sequence[Meter]
+) -> Iterator[str]:
     """Every injection meter with a reading, of the file that ``key`` gives, at a node that injects exactly nothing.
 
-    ``virtual``: the rows of these nodes.
+    ``virtual``: meters, the virtual ones of the scenario among them.
     """
-    injections, table = [k for k, kind in enumerate(KINDS) if kind.of_injection], tabulate_meters(network, meters)
-    wrong = np.isin(table.kind, injections) & np.isin(table.node, virtual) & (table.n_phases == 1)
+    nodes, known = _find_metered_nodes(network, meters), _find_metered_nodes(network, virtual)
+    wrong = (nodes >= 0) & np.isin(nodes, known)
     for meter in take_items(meters, np.flatnonzero(wrong)):
         yield (
             f"{key}: {meter.id} has a reading, but measurements.zero_injection says that bus {meter.at} injects "
             "exactly nothing; remove the reading, or set zero_injection to 'measured' or to a list without this bus"
         )
+
+
+def _find_metered_nodes(network: Network, meters: Sequence[Meter]) -> np.ndarray:
+    """The node whose injection each of ``meters`` reads, (n_meas,); -1 of all others, and of totals of several."""
+    powers, table = [KINDS.index(kind) for kind in INJECTIONS], tabulate_meters(network, meters)
+    return np.where(np.isin(table.kind, powers) & (table.n_phases == 1), table.node, -1)
 
 
 def _build_meters_of(

@@ -252,7 +252,8 @@ class MeasurementsTable(Table):
     zero_injection: ZeroInjection = "virtual"
     """Buses without load and source, with phases nodes. `"virtual"`: they inject exactly nothing, a constraint for
     every estimator, and have no injection meter. `"measured"`: buses like any other. A list: those listed are
-    virtual.
+    virtual. Where all loads stand between phases the sum of the bus' currents is virtual, and a load that a
+    meter can tell from others is metered itself.
     """
     voltage: BusMeterTable | None = None
     """Meters of voltage magnitude."""

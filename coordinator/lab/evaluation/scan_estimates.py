@@ -18,7 +18,7 @@ from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, find_de
 from dsse_core.files.bounded_file import read_text
 from dsse_core.grid.columns import Records, take_items
 from dsse_core.grid.measurement import Measurement, Meter
-from dsse_core.grid.meter_table import find_virtual, join_meters, tabulate_meters
+from dsse_core.grid.meter_table import find_virtual, join_meters
 from dsse_core.grid.partition import Partition
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.results.results import MeterReadings, Results, results_of_estimate, results_without_estimate
@@ -129,9 +129,7 @@ def read_scans_of(scenario: Scenario, text: str, source: str) -> Scans:
         problem = "a scenario with telemetry.source 'area-power-flow' has no readings of one grid; choose another one"
         raise InvalidInputError("--readings", [problem])
     scans = read_scans(text, source, scenario.network)
-    network = scenario.network
-    virtual = tabulate_meters(network, _virtual_of(scenario)).node
-    if problems := list(find_virtual_problems(source, network, scans.meters, virtual)):
+    if problems := list(find_virtual_problems(source, scenario.network, scans.meters, _virtual_of(scenario))):
         raise InvalidInputError("--readings", problems)
     return scans
 

@@ -132,7 +132,7 @@ def parse_meter(text: str, meant: Suggestions | None = None) -> Meter | str:
     close = "" if kind_name in KIND_OF else (meant or Suggestions(list(KIND_OF))).find(kind_name)
     return (
         f"{text!r:.80} is no meter id; one looks like vm@1, p_injection@4 or p_flow@3:3-4 "
-        f"(KIND@BUS or KIND@BUS:BRANCH, kinds: {', '.join(KIND_OF)}){close}"
+        f"(KIND@BUS or KIND@BUS:BRANCH, kinds: {', '.join(kind for kind in KIND if not kind.is_virtual)}){close}"
     )
 
 

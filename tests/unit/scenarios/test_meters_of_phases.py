@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,7 @@ def ids_of(keys: Mapping[str, object], network: Network = IEEE13) -> list[str]:
         ({"flow": ["671-684.c"]}, ["p_flow@671.c:671-684", "q_flow@671.c:671-684"]),
         ({"flow": ["632-670.total"]}, ["p_flow@632:632-670", "q_flow@632:632-670"]),
         ({"injection": ["646.bc"]}, ["p_injection@646.bc", "q_injection@646.bc"]),
+        ({"injection": [646]}, ["p_injection@646.b", "q_injection@646.b", "p_injection@646.c", "q_injection@646.c"]),
         ({"injection": [652, "634.total"]}, [f"{k}_injection@{at}" for at in ("652.a", "634") for k in "pq"]),
     ],
 )
@@ -72,12 +74,40 @@ def test_nodes_without_load_and_source_inject_exactly_nothing_at_a_bus_where_ano
     virtual = {m.at for m in meters if m.source is Source.VIRTUAL}
     assert {"645.c", "632.a", "684.c", "680.b"} <= virtual
     assert not {"645.b", "646.b", "646.c", "671.a", "1.a", "634.b"} & virtual
-    assert {m.at for m in meters if m.kind.of_injection} == {
-        f"{bus.id}.{phase}" for bus in IEEE13.buses for phase in bus.phases
-    }
+    nodes = {f"{bus.id}.{phase}" for bus in IEEE13.buses for phase in bus.phases}
+    assert {m.at for m in meters if m.kind is KIND.P_INJECTION} == nodes - {"646.b", "646.c"} | {"646.bc"}
     listed = build_meters(of_keys({"zero_injection": [680, "645.c", "684.c"]}), IEEE13)
     assert [m.at for m in listed if m.kind is KIND.P_INJECTION] == ["680.a", "680.b", "680.c", "645.c", "684.c"]
     assert len(ids_of({"injection": "all"})) == 2 * IEEE13.n_nodes  # measured
+
+
+def test_currents_of_loads_between_phases_sum_to_zero_and_a_load_that_can_be_told_apart_is_metered_itself() -> None:
+    """Bus 646 has one load, from b to c; bus 671 has three, whose currents at its nodes no meter divides."""
+    default = {"zero_injection": "virtual"}
+    of_sums = [m for m in build_meters(of_keys(default), IEEE13) if m.kind.is_virtual]
+    assert [m.id for m in of_sums] == ["i_real@646", "i_imag@646", "i_real@671", "i_imag@671"]
+    assert all(m.source is Source.VIRTUAL for m in of_sums)
+    assert ids_of(default | {"zero_injection": [646], "injection": [646]}) == [
+        "p_injection@646.bc",
+        "q_injection@646.bc",
+        "i_real@646",
+        "i_imag@646",
+    ]
+    assert [i for i in ids_of(default | {"injection": "all"}) if "p_injection@671" in i or "p_injection@646" in i] == [
+        "p_injection@671.a",
+        "p_injection@671.b",
+        "p_injection@671.c",
+        "p_injection@646.bc",
+    ]
+    # two loads, a to b and b to c: each is read where the other is not
+    loads = tuple(load for load in IEEE13.loads if load.bus != 671 or load.phases != "ca")
+    apart = replace(IEEE13, loads=loads)
+    assert {"p_injection@671.ab", "p_injection@671.cb"} <= set(ids_of(default | {"injection": [671]}, apart))
+    wrong = of_keys({"injection": ["671.bc", "671.ab"]})
+    assert list(find_place_problems(wrong, apart)) == [
+        "measurements.injection.buses: '671.bc': other loads of bus 671 draw at b, and a meter reads the current "
+        "there; name the leg '671.cb'"
+    ]
 
 
 def test_every_place_whose_phases_are_not_there_is_named_with_the_cure() -> None:
@@ -195,6 +225,26 @@ def test_the_shipped_feeder_is_observable_and_its_noise_is_what_its_sigmas_say()
     assert abs(np.mean(objectives) - freedom) < 4 * math.sqrt(2 * freedom / 10)
 
 
-def test_readings_of_each_areas_own_power_flow_are_refused_with_phases() -> None:
-    with pytest.raises(InvalidInputError, match=r"'area-power-flow' does not suit network 'ieee13'"):
-        load_scenario("ieee13", changes={"telemetry.source": "area-power-flow"})
+def test_keys_of_areas_that_solve_a_power_flow_of_their_own_are_refused_with_phases() -> None:
+    changes = {"telemetry.source": "area-power-flow", "faults.load_error.all": {"p_mw": 0.1, "q_mvar": 0.0}}
+    with pytest.raises(InvalidInputError) as caught:
+        load_scenario("ieee13", changes=changes)
+    source, load_error = caught.value.problems
+    assert source.startswith(
+        "telemetry.source: 'area-power-flow' does not suit network 'ieee13': its buses have phases"
+    )
+    assert load_error.startswith("faults.load_error: the buses of network 'ieee13' have phases")
+
+
+def test_the_phase_of_a_lateral_that_no_meter_determines_is_named_with_its_cure() -> None:
+    changes = {
+        "measurements.zero_injection": [2, 650, 60, 632, 633, 680, "645.c", "684.a"],
+        "measurements.injection.buses": [1, 634, 645, 646, 670, 671, 675, 652],
+        "measurements.voltage.buses": [650, 634, 671],
+        "measurements.flow.branches": ["671-684", "sub"],
+    }
+    with pytest.raises(InvalidInputError) as caught:
+        check_scenario(load_scenario("ieee13", changes=changes))
+    (problem,) = caught.value.problems
+    assert problem.startswith("whole grid: the measurements do not determine the state of bus 611.c; any one of these")
+    assert "P and Q injection at bus 611.c" in problem

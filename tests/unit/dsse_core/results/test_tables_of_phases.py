@@ -121,6 +121,8 @@ def test_meters_of_every_kind_read_in_the_table_what_the_model_predicts(feeder: 
         Meter(KIND.VA, 611, phases="c"),
         Meter(KIND.P_INJECTION, 671),
         Meter(KIND.Q_FLOW, 645, "645-632"),
+        Meter(KIND.I_REAL, 671),
+        Meter(KIND.I_IMAG, 646),
     ]
     va, vm = np.split(x, 2)
     expected = build_measurement_model(feeder, build_admittance(feeder), meters).predict(x)
