@@ -19,7 +19,7 @@ from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear.contributions import Contribution, FurtherRows, Method, least_squares
 
 NO_ROWS = np.zeros(0, dtype=np.int64)
-Backend = Literal["auto", "radial", "sparse", "dense"]
+Backend = Literal["auto", "radial", "sparse", "dense", "pieces"]
 
 
 @dataclass(frozen=True)

@@ -14,18 +14,20 @@ from dsse_core.linear.rows import TableauSolver
 from dsse_core.linear.sparse import SparseRows
 
 RADIAL_FROM = 60  # buses of an area from which on radial repays the loading of numba
+PIECES_FROM = 60  # nodes of an area from which on pieces cost less than one dense piece
 DENSE_BELOW = 40  # buses of an area below which dense matrices cost less than sparse ones
 
 
-def choose_backend(area: Area, backend: Backend = "auto") -> Literal["radial", "sparse", "dense"]:
+def choose_backend(area: Area, backend: Backend = "auto") -> Literal["radial", "sparse", "dense", "pieces"]:
     """Back end that computes if ``backend`` is asked for; radial, which loads numba, only where it can serve.
 
-    An area with a boundary at several buses or at phases always has dense: only reflections find the information of
-    such a boundary.
+    An area with a boundary at several buses or at phases has dense or pieces, by its size where neither is asked for:
+    only reflections find the information of such a boundary.
     """
     n_bus = len(area.network.buses)
-    if not all(boundary.is_single for boundary in area.boundaries.values()):
-        return "dense"
+    if backend == "pieces" or not all(boundary.is_single for boundary in area.boundaries.values()):
+        is_small = backend != "pieces" and area.network.n_nodes < PIECES_FROM
+        return "dense" if backend == "dense" or is_small else "pieces"
     if backend == "radial" or (backend == "auto" and n_bus >= RADIAL_FROM):
         return "sparse" if find_why_not_radial(area.network) else "radial"
     return "dense" if backend == "dense" or (backend == "auto" and n_bus < DENSE_BELOW) else "sparse"
@@ -49,7 +51,7 @@ def make_linear(model: AreaMeasurements, rows: Rows) -> LinearArea:
     if model.couples_many:
         return ReducedSolver(model, rows, "dense, as further rows couple many buses")
     chosen = choose_backend(model.area, model.backend)
-    if chosen == "dense":
+    if chosen in ("dense", "pieces"):
         return ReducedSolver(model, rows, chosen)
     assert isinstance(rows, SparseRows)  # by ``make_rows``
     by_rows = TableauSolver(model, rows, "sparse")

@@ -9,7 +9,7 @@ from dsse_core.grid.boundary import Boundary
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import ROUNDING, BoundaryInformation, invert_root
-from dsse_core.linear.dense import DenseRows
+from dsse_core.linear.choose import make_rows
 from dsse_core.linear.interface import Received
 from dsse_core.linear.reduced import ReducedSolver
 from dsse_core.linear.rows import RowSolver, TableauSolver
@@ -76,7 +76,7 @@ class NoLoadReflections(_AtNoLoad, ReducedSolver):
 
     def __init__(self, model: AreaMeasurements, sigma_of_power: float) -> None:
         self.sigma_of_power = sigma_of_power
-        super().__init__(model, DenseRows(model), "no load")
+        super().__init__(model, make_rows(model), "no load")
 
     def tied_sigma(self, boundary: Boundary) -> float:
         """Sigma of rows that tie powers to voltages: EXACT_SIGMA in units of the sigma of power meters."""

@@ -18,56 +18,20 @@ Numerical Algorithms, 20.3).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import Self, cast
 
 import numpy as np
-from scipy.linalg import lapack
+import scipy.sparse as sp
 
 from dsse_core.grid.boundary import Boundary, Kind
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import EXACT_SIGMA, TIED_SIGMA, BoundaryInformation
-from dsse_core.linear.interface import NOT_YET, Received, Rows
+from dsse_core.linear.interface import NOT_YET, Matrix, Received, Rows
+from dsse_core.linear.pieces import Pieces, Reduction, divide_tree
+from dsse_core.linear.reflections import Eliminated, eliminate, triangulate
 from dsse_core.linear.rows import RowSolver, shift_of_own_rows
-
-
-class _Eliminated(NamedTuple):
-    """Variables eliminated from rows: ``triangle dx[order] = known - rest dy``, with ``turned = [rest | known]``.
-
-    ``rows``: the rows that are left, without the eliminated variables. ``Q``: the reflections, as LAPACK stores them,
-    of the rows in the order ``taken``.
-    """
-
-    triangle: np.ndarray
-    order: np.ndarray
-    turned: np.ndarray
-    rows: np.ndarray
-    Q: tuple[np.ndarray, np.ndarray]
-    taken: np.ndarray
-
-    def substitute(self, dy: np.ndarray) -> np.ndarray:
-        """dx, the eliminated variables, for ``dy``, the others."""
-        return self._solve(self.turned[:, -1] - self.turned[:, :-1] @ dy)
-
-    def spread(self, dy: np.ndarray) -> np.ndarray:
-        """F, (n, n + k), with ``F F'`` the covariance of dx, for ``dy`` (:, k) with ``dy dy'`` that of the others."""
-        return self._solve(np.hstack([np.eye(len(self.order)), -self.turned[:, :-1] @ dy]))
-
-    def _solve(self, b: np.ndarray) -> np.ndarray:
-        dx = np.zeros_like(b)
-        if len(dx):
-            dx[self.order] = lapack.dtrtrs(self.triangle, b)[0]
-        return dx
-
-    def turn_back(self, columns: np.ndarray) -> np.ndarray:
-        """``columns`` (len(rows), k) of the rows that are left, in terms of the rows given, (len(taken), k)."""
-        whole = np.zeros((len(self.taken), columns.shape[1]))
-        whole[len(self.order) :] = columns
-        if whole.size and len(self.order):
-            whole = lapack.dormqr("L", "N", *self.Q, whole, whole.size)[0]
-        found = np.empty_like(whole)
-        found[self.taken] = whole
-        return found
+from dsse_core.linear.sparse import SparseRows
 
 
 @dataclass(frozen=True)
@@ -78,19 +42,22 @@ class _Reduced:
     """
 
     x: np.ndarray
-    within: _Eliminated
+    within: Reduction
     boundaries: dict[str, tuple[np.ndarray, np.ndarray]]
 
 
 class ReducedSolver(RowSolver):
-    """Solver for steps, information and variances by two stages of reflections; steps with damping take one."""
+    """Solver for steps, information and variances by two stages of reflections; steps with damping take one.
+
+    Dense rows are eliminated in one piece, sparse ones in pieces along the area's tree.
+    """
 
     def __init__(self, model: AreaMeasurements, rows: Rows, name: str) -> None:
         super().__init__(model, rows, name)
         self._order = _Order(model)
-        self._within: tuple[np.ndarray, _Eliminated] | None = None
+        self._within: tuple[np.ndarray, Reduction] | None = None
         self._reduced: _Reduced | None = None
-        self._least_rows = self._find_least_rows()
+        self._pieces: Pieces | None = None
 
     def with_readings(self, model: AreaMeasurements) -> Self:
         other = super().with_readings(model)
@@ -106,51 +73,61 @@ class ReducedSolver(RowSolver):
         reduced, order = self._reduce(x), self._order
         rows = self._stack(reduced, received, with_shifts=True)[:, order.of_step]
         db = np.zeros(order.n_boundary)
-        db[order.of_step[:-1]] = _eliminate(rows, len(order.of_step) - 1).substitute(np.zeros(0))
+        db[order.of_step[:-1]] = eliminate(rows, len(order.of_step) - 1).substitute(np.zeros(0))
         dx, n = np.zeros(self.model.size), order.n_within
         dx[order.read[:n]] = reduced.within.substitute(db)
         dx[order.read[n:]] = db[: len(order.read) - n]
-        dx += order.shift(x, *db[-2:])
+        of_growth, of_turn = order.find_shifts(x)
+        dx += of_growth * db[-2] + of_turn * db[-1]
         return dx
 
     def _step_with_damping(self, x: np.ndarray, received: Received, damping: float) -> np.ndarray:
-        (H, r, sigma), free = self.stack(x, received), self.model.free
-        m, n = len(r), len(free)
+        (H, r, sigma), free, dx = self.stack(x, received), self.model.free, np.zeros(self.model.size)
+        m, n, least = len(r), len(free), np.maximum(self.least_information(free), damping)
+        if isinstance(self.rows, SparseRows):
+            dx[free] = self.rows.factor(cast("sp.csr_array", H), sigma, least, free).solve(r, np.zeros(n))[1]
+            return dx
         rows = np.zeros((m + n, n + 1))
         rows[:m, :n], rows[:m, n] = H[:, free] / sigma[:, None], r / sigma
-        rows[m + np.arange(n), np.arange(n)] = np.sqrt(np.maximum(self.least_information(free), damping))
-        dx = np.zeros(self.model.size)
-        dx[free] = _eliminate(rows, n).substitute(np.zeros(0))
+        rows[m + np.arange(n), np.arange(n)] = np.sqrt(least)
+        dx[free] = eliminate(rows, n).substitute(np.zeros(0))
         return dx
 
     def variances(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, np.ndarray]:
         """See ``LinearArea``; sums of squares lose no digit, however far sigmas and impedances are apart.
 
-        With Q_0 the directions in which the weighted rows have no part, ``Omega = R^(1/2) Q_0 Q_0' R^(1/2)``; F: see
-        ``_spread``.
+        With Q_0 the directions in which the weighted rows have no part, ``Omega = R^(1/2) Q_0 Q_0' R^(1/2)``; with F
+        for which ``dx = F e``, e of variance 1, ``G^-1 = F F'``.
         """
-        F, last = self._spread(x, received)
-        within, k = self._reduce(x).within, len(last.order)
-        left = within.turn_back(last.turn_back(np.eye(len(last.taken) - k, order="F"))[: len(within.rows)])
-        of_meters = left[: len(self.model.z)]
+        within, order, (of_y, last) = self._reduce(x).within, self._order, self._spread(x, received)
+        shifts, found = np.column_stack(order.find_shifts(x)), np.zeros(self.model.size)
+        F = shifts @ of_y[-2:]
+        F[order.read[order.n_within :]] += of_y[: len(order.read) - order.n_within]
+        found += np.vecdot(F, F)
+        for columns, of_piece, of_shifts in within.spread(of_y):
+            at = order.read[columns]
+            F = of_piece + shifts[at] @ of_shifts
+            found[at] = np.vecdot(F, F)
+        left = last.turn_back(np.eye(len(last.taken) - len(last.order), order="F"))[: len(within.rows)]
         R = 1 / self.model.contribution(self.rows.predict(x)).weight
-        return np.vecdot(F, F), self.model.real_part(R * np.vecdot(of_meters, of_meters))
+        return found, self.model.real_part(R * within.turn_back(left)[: len(R)])
 
     def covariance(self, x: np.ndarray, received: Received, B: np.ndarray) -> np.ndarray:
-        of_rows = B @ self._spread(x, received)[0]
-        return np.asarray(of_rows @ of_rows.T)
+        order, (of_y, _) = self._order, self._spread(x, received)
+        of_within, of_rest = self._reduce(x).within.collect(
+            np.hstack([B[:, order.read], B @ np.column_stack(order.find_shifts(x))])
+        )
+        F = np.hstack([of_within, of_rest @ of_y])
+        return np.asarray(F @ F.T)
 
-    def _spread(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, _Eliminated]:
-        """F with ``dx = F e`` for e of variance 1, so that ``G^-1 = F F'``, and the second stage."""
-        reduced, order = self._reduce(x), self._order
-        n, k = order.n_within, len(order.of_step) - 1
-        last = _eliminate(self._stack(reduced, received, with_shifts=True)[:, order.of_step], k)
+    def _spread(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, Eliminated]:
+        """The root of the covariance of the boundaries' variables and both shifts, and the second stage."""
+        order = self._order
+        k = len(order.of_step) - 1
+        last = eliminate(self._stack(self._reduce(x), received, with_shifts=True)[:, order.of_step], k)
         of_y = np.zeros((order.n_boundary, k))
         of_y[order.of_step[:-1]] = last.spread(of_y[:0, :0])
-        F = np.zeros((self.model.size, n + k))
-        F[order.read[:n]], F[order.read[n:], n:] = reduced.within.spread(of_y), of_y[: len(order.read) - n]
-        F[:, n:] += order.shift(x, *of_y[-2:])
-        return F, last
+        return of_y, last
 
     def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
         reduced, (columns, places) = self._reduce(x), self._order.towards[neighbour.area]
@@ -158,7 +135,7 @@ class ReducedSolver(RowSolver):
         rows = self._stack(reduced, {name: sent for name, sent in received.items() if name != neighbour.area})
         rows = _with_powers(rows, dy, boundary.n_powers, self.tied_sigma(boundary)) if neighbour.is_parent else rows
         k = len(places)
-        rows = _triangulate(_eliminate(rows[:, columns], len(columns) - 1 - k).rows)
+        rows = triangulate(eliminate(rows[:, columns], len(columns) - 1 - k).rows)
         R, z = np.zeros((boundary.d, boundary.d)), np.zeros(boundary.d)
         R[:k, places], z[:k] = rows[:k, :-1], rows[:k, -1]
         R = _undo_shifts(R, places, y, boundary)
@@ -194,39 +171,31 @@ class ReducedSolver(RowSolver):
             within = self._reduce_voltages(x)
             power = x[2 * self.model.n_nodes :]
             if len(power) and self.model.moves_with_powers:
-                within = within._replace(turned=_with_power(within.turned, power), rows=_with_power(within.rows, power))
+                within = within.with_power(power)
             boundaries = {neighbour.area: self._boundary(x, neighbour) for neighbour in self.model.area.neighbours}
             self._reduced = _Reduced(x.copy(), within, boundaries)
         return self._reduced
 
-    def _reduce_voltages(self, x: np.ndarray) -> _Eliminated:
+    def _reduce_voltages(self, x: np.ndarray) -> Reduction:
         """Elimination of the voltages within the area; without power into children where that changes no weights."""
         if self.model.moves_with_powers:
             x = np.where(np.arange(len(x)) < 2 * self.model.n_nodes, x, 0.0)
         if self._within is None or not np.array_equal(self._within[0], x):
-            self._within = x, _eliminate(self._weighted_rows(x), self._order.n_within)
+            H, r, sigma = self.stack(x, {})
+            beside = np.empty((len(r), 3))
+            beside[:, :2], beside[:, 2] = shift_of_own_rows(self.model, self.rows, x, H), r
+            self._within = x, self._find_pieces(H).eliminate(H, beside, sigma)
         return self._within[1]
 
-    def _weighted_rows(self, x: np.ndarray) -> np.ndarray:
-        """``[W H | W r]`` of the area's own rows, and those of ``_find_least_rows``."""
-        order = self._order
-        H, r, sigma = self.stack(x, {})
-        m = len(r)
-        A = np.zeros((m + len(self._least_rows), order.size + 1))
-        A[:m, :-3], A[:m, -1] = H[:, order.read], r
-        A[:m, -3:-1] = shift_of_own_rows(self.model, self.rows, x, H)
-        A[:m] /= sigma[:, None]
-        A[m:, :-1] = self._least_rows
-        if len(exact := self.model.exact):
-            A[exact] = _turn_alone(A[exact], order.n_within)
-        return A
-
-    def _find_least_rows(self) -> np.ndarray:
-        """One row of next to no weight for each variable of the area, in case that nothing else determines it."""
-        read = self._order.read
-        least = np.zeros((len(read), self._order.size))
-        least[np.arange(len(read)), np.arange(len(read))] = np.sqrt(self.least_information(read))
-        return least
+    def _find_pieces(self, H: Matrix) -> Pieces:
+        """The pieces of all rows ``H`` of the area, found once for the places of their entries."""
+        if self._pieces is None or not self._pieces.fits(H):
+            area, order, n = self.model.area, self._order, self.model.n_nodes
+            piece = divide_tree(area.network.table, area.entry_bus)[area.network.table.nodes.item]
+            least = self.least_information(order.read)
+            within = order.read[: order.n_within]
+            self._pieces = Pieces(H, self.model.exact, order.read, order.n_within, least, piece[within % n])
+        return self._pieces
 
     def _boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, np.ndarray]:
         """y, shape (d,), and ``[dy | -y]`` by the variables of the boundaries."""
@@ -235,6 +204,7 @@ class ReducedSolver(RowSolver):
         if neighbour.is_parent:
             y, T = self.rows.boundary(x, neighbour)
             C = T[: boundary.n_powers]
+            C = C if isinstance(C, np.ndarray) else C.toarray()
             dy[: boundary.n_powers, : len(order.read) - n] = C[:, order.read[n:]]
             dy[: boundary.n_powers, -2] = -C[:, self.model.fixed].sum(axis=1)
         else:
@@ -297,29 +267,17 @@ class _Order:
             found = [*range(first), *(first + at for at in of_y.values())]
             self.towards[n.area] = np.array([*left, *found, first + residual]), np.array([*range(first), *of_y])
 
-    def shift(self, x: np.ndarray, growth: np.ndarray, turn: np.ndarray) -> np.ndarray:
-        """The change of x, (size,), where all voltages grow by the share ``growth`` and turn by ``turn``, rad.
-
-        For several of these, (k,), the changes are (size, k).
-        """
+    def find_shifts(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The changes of x, (size,) each, where all voltages grow by a share, and where they turn by an angle, rad."""
         n = len(self._is_turned)
         of_growth = np.concatenate([np.zeros(n), x[n : 2 * n], 2 * x[2 * n :]])
-        of_turn = np.concatenate([self._is_turned, np.zeros(len(x) - n)])
-        return np.asarray(np.multiply.outer(of_growth, growth) + np.multiply.outer(of_turn, turn))
+        return of_growth, np.concatenate([self._is_turned, np.zeros(len(x) - n)])
 
 
 def _find_next_to(area: Area, bus: int) -> set[int]:
     """The buses at the other ends of the branches of ``bus``."""
     ends = ((branch.from_bus, branch.to_bus) for branch in area.network.active_branches)
     return {end for pair in ends if bus in pair for end in pair} - {bus}
-
-
-def _with_power(rows: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """``rows`` of a state without power into children, moved to ``power``, of which they are linear functions."""
-    moved, change = rows.copy(), rows[:, : len(power)] @ power
-    moved[:, -1] -= change
-    moved[:, -3] += 2 * change  # the shift takes the powers along
-    return moved
 
 
 def _with_powers(rows: np.ndarray, dy: np.ndarray, n: int, sigma: float) -> np.ndarray:
@@ -341,44 +299,3 @@ def _undo_shifts(R: np.ndarray, places: np.ndarray, y: np.ndarray, boundary: Bou
     if places[-1] == va and not boundary.is_single:
         R[:, va] -= R[:, boundary.places[Kind.VA][:-1]].sum(axis=1)
     return R
-
-
-def _eliminate(rows: np.ndarray, n: int) -> _Eliminated:
-    """Elimination of the first ``n`` variables from ``rows``, whose last column is that of the residuals.
-
-    Rows without these variables come last and stay as they are; at the top a heavy one would spread to all others.
-    """
-    if not n:
-        nothing, none = np.zeros((0, 0)), np.zeros(0, dtype=int)
-        return _Eliminated(nothing, none, rows[:0], rows, (nothing, none), np.arange(len(rows)))
-    taken = _heavy_first(rows, n)
-    rows = rows[taken]
-    reflectors, order, tau, _, _ = lapack.dgeqp3(rows[:, :n])
-    Q = reflectors[:, : len(tau)], tau
-    turned = lapack.dormqr("L", "T", *Q, rows[:, n:], rows.size)[0]
-    return _Eliminated(reflectors[:n], order - 1, turned[:n], turned[n:], Q, taken)
-
-
-def _turn_alone(rows: np.ndarray, n: int) -> np.ndarray:
-    """Rows with the same information as ``rows``, as few as possible of them with any of the first ``n`` variables.
-
-    Exact rows are so heavy that one more of them than variables to eliminate would spoil the other rows.
-    """
-    alone, turned = _eliminate(rows, n), np.zeros_like(rows)
-    k = len(alone.turned)
-    turned[:k, alone.order] = np.triu(alone.triangle)
-    turned[:k, n:], turned[k:, n:] = alone.turned, alone.rows
-    return turned
-
-
-def _triangulate(rows: np.ndarray) -> np.ndarray:
-    """Upper triangular rows with the same information as ``rows``, as many as columns."""
-    m, n = rows.shape
-    if m < n:
-        rows = np.pad(rows, ((0, n - m), (0, 0)))
-    return np.asarray(np.triu(lapack.dgeqrf(rows[_heavy_first(rows, n - 1)])[0][:n]))
-
-
-def _heavy_first(rows: np.ndarray, n: int) -> np.ndarray:
-    """The order of ``rows`` by their largest entry in the first ``n`` columns."""
-    return np.argsort(-abs(rows[:, :n]).max(axis=1), kind="stable")

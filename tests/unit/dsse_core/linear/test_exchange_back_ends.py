@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.grid.partition import Neighbour
-from dsse_core.linear import Backend, choose_backend
+from dsse_core.linear import Backend, choose_backend, pieces
 from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import EXACT_SIGMA, BoundaryInformation
 from dsse_core.linear.contributions import Contribution, CoupledRows, RowsAt, VoltageReadings
@@ -22,10 +22,18 @@ from tests.support.grids import MeterShares, make_grid
 
 has_numba = importlib.util.find_spec("numba") is not None
 needs_numba = pytest.mark.skipif(not has_numba, reason="the tree needs numba: pip install 'consensus-dsse[fast]'")
-each_back_end = pytest.mark.parametrize("backend", [pytest.param("radial", marks=needs_numba), "dense"])
+each_back_end = pytest.mark.parametrize(
+    "backend",
+    [pytest.param("radial", marks=needs_numba), "dense", pytest.param("pieces", marks=pytest.mark.long)],
+)
 
 CLOSE = 1e-9  # of a step or a variance; p.u., rad
 ROUNDS = 12  # after which every area has received from all the others
+
+
+@pytest.fixture(autouse=True)
+def _small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pieces, "PIECE", 6)
 
 
 @dataclass(frozen=True)
@@ -197,7 +205,7 @@ def test_a_second_method_and_further_rows_are_those_of_the_dense_reference_on_al
             assert asked.contribution(asked.predict(x)).shift.any()
             dx, covariance = reference_of(asked, x, case.received)
             variance = covariance.diagonal()
-            for backend in ("sparse", "dense", "radial"):
+            for backend in ("sparse", "dense", "pieces", "radial"):
                 model = replace(asked, backend=backend)
                 n = 2 * len(model.area.network.buses)
                 assert model.linear.name.startswith("dense" if len(further) == 2 else backend)
@@ -270,7 +278,7 @@ def test_small_areas_are_dense_unless_asked_otherwise():
     assert build_area_model(large, (), None).linear.name != "dense"
 
 
-@pytest.mark.parametrize("backend", [pytest.param("radial", marks=needs_numba), "sparse", "dense"])
+@pytest.mark.parametrize("backend", [pytest.param("radial", marks=needs_numba), "sparse", "dense", "pieces"])
 def test_the_same_meters_read_anew_give_what_a_new_model_gives(backend):
     feeder = make_feeder(7, n_bus=20, n_area=1)
     (area,) = feeder.partition.areas
