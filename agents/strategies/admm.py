@@ -137,8 +137,7 @@ class Admm(Strategy):
         for name, b in self._boundaries.items():
             if (pulled := b.pull(self._content.penalty)) is not None:
                 pulls[name] = pulled
-            if (angle := b.angle_to_follow) is not None:  # all angles turn at once: meters see no difference
-                self._x[: len(self._area.network.buses)] += angle - self._y(b)[b.is_angle][0]
+            self._x[: self._model.n_nodes] += b.find_turn(self._y(b))  # all at once: meters see no difference
         dx = solve_damped_step(self._model, self._x, pulls)
         self._x, self._moved = self._x + dx, float(abs(dx).max(initial=0.0))
         self._shown = self._estimate(self._model)

@@ -85,11 +85,14 @@ class BoundaryIteration:
         """True where the neighbour's side knows the substation's angle; else the boundary's angle exerts no pull."""
         return self.received is not None and self.received.referenced
 
-    @property
-    def angle_to_follow(self) -> float | None:
-        """The boundary's angle where only the neighbour's side knows it: the area takes it over. None elsewhere."""
-        follows = self.angle_received and not self.angle_known
-        return float(self.z[self.is_angle][0]) if follows and self.z is not None else None
+    def find_turn(self, y: np.ndarray) -> float:
+        """Turn of all angles of an area with ``y`` (d,) at which the pull on them adds up to 0.
+
+        Where only the neighbour's side knows the boundary's angles, the area takes them over; elsewhere the turn is 0.
+        """
+        if self.z is None or not self.angle_received or self.angle_known:
+            return 0.0
+        return float(self._angle_shares @ (self.z - y))
 
     @property
     def terms(self) -> tuple[object, ...]:
@@ -105,8 +108,11 @@ class BoundaryIteration:
         """The penalty on the area's y; None before anything is received."""
         if self.received is None or self.z is None:
             return None
-        M = penalty * np.maximum(self.weight, self.received.weight)
-        return pull(np.where(self.is_angle & (not self.angle_received), 0.0, M), self.z)
+        pulled = pull(penalty * self._joint_weight, self.z)
+        if self.angle_received:
+            return pulled
+        R = pulled.R @ (np.eye(len(self.z)) - np.outer(self.is_angle, self._angle_shares))
+        return BoundaryInformation(R, R @ self.z)  # it leaves a turn of all angles alone: in balanced grids the angle
 
     def step(self, y: np.ndarray) -> bool:
         """Go on to the next iteration, if it is this side's turn and worth it; True if so. ``y`` (d,): of the area."""
@@ -121,7 +127,7 @@ class BoundaryIteration:
         self.k = self.received.iteration if ahead > 1 else self.k + 1
         self.z = r.copy() if self.z is None or ahead > 1 else self.z + RELAXATION * (r - self.z)
         if not self.angle_known:
-            self.z[self.is_angle] = r[self.is_angle]
+            self.z[self.is_angle] = (r + self._without_turn(self.z - r))[self.is_angle]
         self.unsettled, self._defers = moves, False
         return True
 
@@ -134,7 +140,28 @@ class BoundaryIteration:
         self._defers = self.unsettled and self.neighbour.is_parent
 
     def _distance(self, a: np.ndarray, b: np.ndarray) -> float:
-        return float(np.where(self.is_angle & (not self.angle_received), 0.0, abs(a - b)).max())
+        return float(abs(a - b if self.angle_received else self._without_turn(a - b)).max())
 
     def _reflect(self, y: np.ndarray) -> np.ndarray:
-        return y if self.z is None else np.where(self.is_angle & (not self.angle_received), y, 2 * y - self.z)
+        if self.z is None:
+            return y
+        is_turned = self.is_angle & (not self.angle_received)
+        reflected: np.ndarray = np.where(is_turned, y + self._without_turn(y - self.z), 2 * y - self.z)
+        return reflected
+
+    @property
+    def _joint_weight(self) -> np.ndarray:
+        """Weight of both sides (d,), the same on both once they have messages of each other."""
+        return self.weight if self.received is None else np.maximum(self.weight, self.received.weight)
+
+    @property
+    def _angle_shares(self) -> np.ndarray:
+        """Shares (d,) of angles in their mean, by the weight of both sides; 0 of other variables."""
+        weight = self._joint_weight * self.is_angle
+        shares: np.ndarray = weight / weight.sum()
+        return shares
+
+    def _without_turn(self, difference: np.ndarray) -> np.ndarray:
+        """``difference`` (d,) with angles that have the mean 0: a turn of all angles makes no difference."""
+        without: np.ndarray = difference - self.is_angle * (self._angle_shares @ difference)
+        return without

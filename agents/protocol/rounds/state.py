@@ -51,6 +51,7 @@ from dsse_core.estimation.decision import UNOBSERVABLE as NOT_OBSERVABLE
 from dsse_core.estimation.residuals import FALSE_ALARMS, chi_square_limit
 from dsse_core.exchange.area_estimation import FAILURES
 from dsse_core.grid.boundary import Kind
+from dsse_core.grid.nodes import name_node
 from dsse_core.split_identity import SplitUse
 
 MISMATCH = 1e-6  # p.u. and rad, between the final voltages of the two sides of a boundary; rounding leaves 1e-8
@@ -299,7 +300,7 @@ class RoundsState:
                 continue
             dvm, dva = self._find_mismatch(name, outcome, peer.y)
             if max(dvm, dva) > MISMATCH:
-                met = ", ".join(map(str, self._area.boundaries[name].buses))
+                met = ", ".join(name_node(*place) for place in self._area.boundaries[name].phases.items())
                 yield (
                     name,
                     f"boundary mismatch with {name} at bus {met}: its final voltage differs by {dvm:.3g} p.u. and "

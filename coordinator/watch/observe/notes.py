@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 BAD_DATA = "bad data"  # kind of a removed meter, which has a field of the state and no note
 PATTERNS = {
-    "mismatch": r"boundary mismatch with (?P<other>\S+) at bus (?P<buses>[-\d, ]+): its final voltage differs by "
+    "mismatch": r"boundary mismatch with (?P<other>\S+) at bus (?P<buses>[^:]+): its final voltage differs by "
     r"(?P<vm>\S+) p\.u\. and (?P<va>\S+) deg; .*",
     "distrust": r"(?P<other>\S+) is not believed: (?P<why>.*)",
     "false count": r"(?P<why>\d+ of \d+ areas are counted): (?P<other>\S+)(?: or \S+)* says false things.*",

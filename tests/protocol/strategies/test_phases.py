@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -9,15 +10,17 @@ import pytest
 
 from agents.messages.packing import Incarnation, LoadMessage, UpMessage, encode
 from agents.protocol.choose import make_protocol
+from agents.protocol.events import Ordered
 from coordinator.lab.strategy_check import check_with_strategy
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
+from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Partition
 from dsse_core.link_faults import LinkFaults
-from tests.support.areas_with_phases import find_gap, find_qualities, read_by_area, split_phases
+from tests.support.areas_with_phases import SOUND, find_gap, find_qualities, read_by_area, split_phases
 from tests.support.phases import AREAS, DEEP, RING, TIE, make_feeder, read_meters
 from tests.support.scenario_with_phases import make_scenario
 from tests.support.simulated_bus import SimulatedBus
@@ -39,10 +42,13 @@ def estimate_centrally(name: str, *, is_rich: bool, seed: int = 2) -> tuple[list
     return readings, process_bad_data(network, readings)
 
 
-def start(name: str, faults: LinkFaults = LinkFaults(), *, is_rich: bool = True) -> SimulatedBus:  # noqa: B008
+def start(
+    name: str, faults: LinkFaults = SOUND, *, is_rich: bool = True, strategy: str = "information"
+) -> SimulatedBus:
     _, partition = divide(name)
     readings, _ = estimate_centrally(name, is_rich=is_rich)
-    return SimulatedBus(split_phases(partition, readings, faults), read_by_area(partition, readings))
+    files = split_phases(partition, readings, faults, strategy=strategy)
+    return SimulatedBus(files, read_by_area(partition, readings))
 
 
 def assert_all_have_the_centres(bus: SimulatedBus, name: str, *, is_rich: bool = True) -> None:
@@ -104,3 +110,62 @@ def test_a_strategy_of_one_voltage_a_bus_refuses_phases():
     content = split_phases(divide("four areas")[1], readings, strategy="angle-offset")[0]
     with pytest.raises(InvalidInputError, match=expected):
         make_protocol(content, Incarnation(1, 1), now=0.0, started_at=0.0)
+
+
+@pytest.mark.parametrize("is_rich", [True, pytest.param(False, marks=pytest.mark.long)], ids=["rich", "sparse"])
+def test_admm_agrees_on_the_centres_estimate_phase_by_phase(is_rich: bool):
+    bus = start("four areas", is_rich=is_rich, strategy="admm")
+    bus.run(5.0)
+    assert find_qualities(bus) == dict.fromkeys(bus.files, "good")
+    _, centre = estimate_centrally("four areas", is_rich=is_rich)
+    assert find_gap(bus, divide("four areas")[0], centre) < 1e-8
+
+
+def test_a_meter_of_a_phase_is_switched_off_by_the_operator():
+    bus, off = start("four areas"), "vm@675.b"
+    network, _ = divide("four areas")
+    bus.run(3.0)
+    bus.post("east", Ordered((5, 6, 1), (off,)))
+    bus.run(3.0)
+    readings, centre = estimate_centrally("four areas", is_rich=True)
+    assert bus.states["east"].meters_off == (off,)
+    assert f"switched off by the operator: {off}" in bus.states["east"].notes
+    without = process_bad_data(network, [m for m in readings if m.meter.id != off])
+    assert find_gap(bus, network, without) < GAP < find_gap(bus, network, centre)
+
+
+def test_a_lie_about_voltages_of_a_boundary_is_named_with_its_phases():
+    _, partition = divide("four areas")
+    readings, _ = estimate_centrally("four areas", is_rich=True)
+    files = [
+        replace(f, links=f.links | ({"head": LinkFaults(lie_vm=0.01)} if f.area.name == "west" else {}))
+        for f in split_phases(partition, readings)
+    ]
+    bus = SimulatedBus(files, read_by_area(partition, readings))
+    bus.run(3.0)
+    assert "good" not in find_qualities(bus).values()
+    (note,) = (note for note in bus.states["head"].notes if note.startswith("boundary mismatch"))
+    assert note.startswith("boundary mismatch with west at bus 671.ac: its final voltage differs by ")
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [LinkFaults(corrupt=0.2, duplicate=0.3), LinkFaults(delay_s=0.02, jitter_s=0.05, loss=0.2)],
+    ids=["damaged and repeated", "late and overtaken"],
+)
+def test_faults_of_links_between_areas_with_phases_change_no_estimate(faults: LinkFaults):
+    bus = start("six areas", faults)
+    bus.run(15.0)
+    assert_all_have_the_centres(bus, "six areas")
+
+
+def test_an_estimate_outside_the_band_names_the_phase():
+    _, partition = divide("four areas")
+    readings, _ = estimate_centrally("four areas", is_rich=True)
+    files = split_phases(partition, readings, limits=StateLimits(lowest_vm=1.01, highest_vm=1.5))
+    bus = SimulatedBus(files, read_by_area(partition, readings))
+    bus.run(3.0)
+    (note,) = (note for note in bus.states["two"].notes if "are outside" in note)
+    assert re.fullmatch(
+        r"voltages of \d nodes are outside 1.01 to 1.5 p.u., the farthest is \S+ p.u. at bus \d+.[bc]", note
+    )

@@ -1,5 +1,7 @@
 """Two sides of one boundary: each r is used once, whatever is lost, repeated or restarted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -135,12 +137,41 @@ def test_the_step_is_over_relaxed():
 def test_a_side_that_knows_no_angle_takes_that_of_the_other_and_pulls_nothing(is_parent):
     knowing = Side(1.0, is_parent=is_parent, referenced=True)
     ignorant = Side(3.0, is_parent=not is_parent, referenced=False)
-    assert ignorant.boundary.angle_to_follow is None
+    assert ignorant.boundary.find_turn(ignorant.y) == 0.0
     ignorant.take(knowing.message())
-    assert ignorant.boundary.angle_to_follow == 1.0
+    assert ignorant.boundary.find_turn(ignorant.target) == 1.0 - 3.0
     knowing.take(ignorant.message())
-    assert knowing.boundary.angle_to_follow is None
+    assert knowing.boundary.find_turn(knowing.y) == 0.0
     pulls = knowing.boundary.pull(1.0)
     assert pulls is not None
     assert np.diag(pulls.R).tolist() == [1.0, 1.0, 1.0, 0.0]
     assert knowing.boundary.pull(4.0).R[0, 0] == 2.0
+
+
+def test_angles_of_phases_pull_as_far_as_they_differ_from_a_turn_of_all():
+    """The side that knows the angle is pulled to the differences of the other's angles, and never turned by them."""
+    boundary = boundary_at(["6.abc"], "child")
+    message = AdmmMessage(
+        HEADER,
+        6,
+        1,
+        tuple(np.linspace(0.1, 1.2, 12)),
+        (0.0,) * 12,
+        tuple(np.arange(1.0, 13.0)),
+        unsettled=True,
+        referenced=False,
+        variables=boundary.names,
+    )
+    sides = {known: BoundaryIteration(Neighbour("child", 6, is_parent=False), boundary) for known in (True, False)}
+    for known, side in sides.items():
+        side.angle_known, side.received = known, message if known else replace(message, referenced=True)
+        side.step(np.zeros(12))
+    pulled, turn = sides[True].pull(1.0), sides[True].is_angle * 1.0
+    assert pulled is not None
+    assert pulled.R @ turn == pytest.approx(np.zeros(12), abs=1e-12)
+    assert pulled.z @ pulled.R @ turn == pytest.approx(0.0, abs=1e-12)
+    assert abs(pulled.R @ np.eye(12)[7]).max() > 1.0  # the angle of phase a alone
+    follower = sides[False]
+    assert follower.z is not None
+    y = follower.z + 0.3 * follower.is_angle
+    assert follower.find_turn(y) == pytest.approx(-0.3)
