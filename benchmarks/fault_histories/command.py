@@ -14,6 +14,7 @@ import platform  # noqa: E402
 from collections.abc import Iterator, Sequence  # noqa: E402
 from concurrent.futures import ProcessPoolExecutor  # noqa: E402
 from dataclasses import astuple, fields  # noqa: E402
+from functools import partial  # noqa: E402
 from pathlib import Path  # noqa: E402
 
 import click  # noqa: E402
@@ -37,16 +38,20 @@ UNIT_HERE = 4  # histories at a time for a process of this machine
 @click.option("--count", type=click.IntRange(1), default=1000, help="Histories: so many seeds.")
 @click.option("--first", type=click.IntRange(0), default=0, help="The first seed.")
 @click.option("--jobs", type=click.IntRange(1), default=2, help="Processes at a time.")
+@click.option("--phases", is_flag=True, help="Of ieee13 with all its phases, cut at random; else balanced feeders.")
 @click.option("--executor", metavar="dask://HOST:PORT", help="Run on the workers of this scheduler instead.")
 @click.option(
     "--out",
     type=click.Path(dir_okay=False, path_type=Path),
-    default=Path("runs/fault-histories.csv"),
-    help="Table, a row for each seed; seeds that it has are not run again.",
+    help="Table, a row for each seed; seeds that it has are not run again. "
+    "By default runs/fault-histories.csv, with --phases runs/fault-histories-of-phases.csv.",
 )
 @figures_option
-def main(count: int, first: int, jobs: int, executor: str | None, out: Path, figures: str | None) -> None:
+def main(
+    count: int, first: int, jobs: int, phases: bool, executor: str | None, out: Path | None, figures: str | None
+) -> None:
     """Run histories of faults and say how many ended at the fixed point and how many good states were wrong."""
+    out = out or Path("runs") / f"fault-histories{'-of-phases' if phases else ''}.csv"
     out.parent.mkdir(parents=True, exist_ok=True)
     done = read_table(out)
     seeds = range(first, first + count)
@@ -56,7 +61,9 @@ def main(count: int, first: int, jobs: int, executor: str | None, out: Path, fig
         if not file.tell():
             table.writerow((*COLUMNS, *ORIGIN))
         console = Console(stderr=True)
-        for outcome, *origin in track(_run(missing, jobs, executor), "histories", len(missing), console=console):
+        for outcome, *origin in track(
+            _run(missing, jobs, executor, phases), "histories", len(missing), console=console
+        ):
             table.writerow((*astuple(outcome), *origin))
             file.flush()
             done[outcome.seed] = outcome
@@ -100,22 +107,25 @@ def summarise(outcomes: Sequence[HistoryOutcome]) -> dict[str, str]:
     return facts
 
 
-def run_histories(seeds: Sequence[int]) -> list[tuple[HistoryOutcome, str, str]]:
+def run_histories(seeds: Sequence[int], phases: bool = False) -> list[tuple[HistoryOutcome, str, str]]:
     """Outcomes of one unit of work, each with host and versions. Small areas, too, use the compiled back end."""
     before, choose.RADIAL_FROM = choose.RADIAL_FROM, 0
     try:
-        return [(run_history(seed), platform.node(), describe_versions()) for seed in seeds]
+        return [(run_history(seed, phases=phases), platform.node(), describe_versions()) for seed in seeds]
     finally:
         choose.RADIAL_FROM = before
 
 
-def _run(seeds: Sequence[int], jobs: int, address: str | None) -> Iterator[tuple[HistoryOutcome, str, str]]:
+def _run(
+    seeds: Sequence[int], jobs: int, address: str | None, phases: bool
+) -> Iterator[tuple[HistoryOutcome, str, str]]:
+    run = partial(run_histories, phases=phases)
     if address is not None:
         with open_executor(address) as executor:
-            yield from run_units(executor, run_histories, seeds)
+            yield from run_units(executor, run, seeds)
     elif jobs == 1:
         for seed in seeds:
-            yield run_history(seed), platform.node(), describe_versions()
+            yield run_history(seed, phases=phases), platform.node(), describe_versions()
     else:
         with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
-            yield from run_units(pool, run_histories, seeds, UNIT_HERE)
+            yield from run_units(pool, run, seeds, UNIT_HERE)

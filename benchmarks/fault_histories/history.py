@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import repeat
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Network
+from dsse_core.grid.nodes import list_phases
 from dsse_core.grid.partition import Partition
 from dsse_core.link_faults import LinkFaults, Window
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
@@ -129,12 +131,22 @@ def run_history(seed: int, *, phases: bool = False) -> HistoryOutcome:
 
 
 def draw_world(rng: np.random.Generator) -> World:
-    """3 to 6 areas of 3 to 8 buses. Loads change from scan to scan.
+    """3 to 6 areas of 3 to 8 buses."""
+    n_area = int(rng.choice([3, 4, 5, 6], p=[0.5, 0.25, 0.15, 0.1]))
+    network, _ = generate_feeder(n_area * int(rng.integers(3, 9)), rng, lowest_vm=float(rng.uniform(0.92, 0.98)))
+    return _read_world(rng, network, n_area)
+
+
+def draw_unbalanced_world(rng: np.random.Generator) -> World:
+    """``ieee13`` in 3 to 6 areas: boundaries of two and three phases, some at buses with loads between phases."""
+    return _read_world(rng, load_scenario("ieee13").network, int(rng.integers(3, 7)))
+
+
+def _read_world(rng: np.random.Generator, network: Network, n_area: int) -> World:
+    """``network`` in ``n_area`` areas, with scans. Loads change from scan to scan.
 
     Readings of voltages and flows are missing now and then. Injections and one voltmeter are always read.
     """
-    n_area = int(rng.choice([3, 4, 5, 6], p=[0.5, 0.25, 0.15, 0.1]))
-    network, _ = generate_feeder(n_area * int(rng.integers(3, 9)), rng, lowest_vm=float(rng.uniform(0.92, 0.98)))
     partition = build_partition(network, cut_into(network, n_area))
     meters = draw_meters(rng, network)
     missing = float(rng.choice([0.0, 0.0, 0.05]))
@@ -146,29 +158,11 @@ def draw_world(rng: np.random.Generator) -> World:
         spared = [lasts or rng.random() >= missing or m == voltmeter for m, lasts in zip(meters, lasting, strict=True)]
         kept = [m for m, stays in zip(read_meters(rng, meters, flow), spared, strict=True) if stays]
         central.append(process_bad_data(network, kept, tolerance=1e-11))
-        telemetry.append(_split(partition, kept))
+        by_area: dict[str, list[Measurement]] = {area.name: [] for area in partition.areas}
+        for measurement in kept:
+            by_area[partition.area_of_meter(measurement.meter)].append(measurement)
+        telemetry.append(by_area)
     return World(network, partition, tuple(telemetry), tuple(central))
-
-
-def draw_unbalanced_world(rng: np.random.Generator) -> World:
-    """The feeder ieee13 in 3 to 6 areas. Loads change from scan to scan, each leg by itself."""
-    scenario = load_scenario("ieee13", changes={"areas": {"count": int(rng.integers(3, 7))}})
-    network, telemetry, central = scenario.network, [], []
-    for _ in range(SCANS):
-        factors = rng.uniform(0.6, 1.1) * rng.lognormal(0.0, 0.3, len(network.loads))
-        loads = (replace(load, s=factor * load.s) for load, factor in zip(network.loads, factors, strict=True))
-        readings = read_meters(rng, scenario.meters, solve_power_flow(replace(network, loads=tuple(loads))))
-        central.append(process_bad_data(network, readings, tolerance=1e-11))
-        telemetry.append(_split(scenario.partition, readings))
-    return World(network, scenario.partition, tuple(telemetry), tuple(central))
-
-
-def _split(partition: Partition, readings: Sequence[Measurement]) -> dict[str, list[Measurement]]:
-    """Area -> its readings."""
-    by_area: dict[str, list[Measurement]] = {area.name: [] for area in partition.areas}
-    for measurement in readings:
-        by_area[partition.area_of_meter(measurement.meter)].append(measurement)
-    return by_area
 
 
 def find_gap(bus: SimulatedBus, world: World) -> float:
@@ -210,22 +204,24 @@ def _sigmas_off(world: World, state: StateMessage) -> float:
 
 def _distance(world: World, state: StateMessage) -> tuple[np.ndarray, np.ndarray]:
     central = world.central[state.header.scan - 1].result
-    rows = [world.network.node(bus, phase) for bus, phase in state.nodes]
+    rows = [world.network.node(*node) for node in state.nodes]
     turned = np.array(state.va) - central.va[rows]
     return abs(np.array(state.vm) - central.vm[rows]), abs((turned + np.pi) % (2 * np.pi) - np.pi)
 
 
 def draw_meters(rng: np.random.Generator, network: Network) -> list[Meter]:
-    """Meters of |V| at the substation and 40 % of the buses, of flows on 60 % of the branches, of all injections."""
+    """Meters of |V| at the substation and 40 % of the nodes, of flows on 60 % of the branches, of all injections."""
     assert network.slack is not None
-    meters = [Meter(KIND.VM, b.id) for b in network.buses if b.id == network.slack.bus or rng.random() < 0.4]
+    slack, nodes = network.slack.bus, list(zip(network.node_buses, network.node_phases or repeat(""), strict=False))
+    meters = [Meter(KIND.VM, bus, phases=phase) for bus, phase in nodes if bus == slack or rng.random() < 0.4]
     for branch in network.active_branches:
         if rng.random() < 0.6:
-            meters += [Meter(k, branch.from_bus, branch.id) for k in (KIND.P_FLOW, KIND.Q_FLOW)]
-    for bus in network.buses:
-        exact = network.scheduled_injection(bus.id) == 0 and bus.id != network.slack.bus
-        source = Source.VIRTUAL if exact else Source.TELEMETERED
-        meters += [Meter(k, bus.id, source=source) for k in (KIND.P_INJECTION, KIND.Q_INJECTION)]
+            phases = list_phases(branch.primitive.from_phases if branch.primitive else "")
+            of_ends = [(k, phase) for phase in phases for k in (KIND.P_FLOW, KIND.Q_FLOW)]
+            meters += [Meter(k, branch.from_bus, branch.id, phases=phase) for k, phase in of_ends]
+    for (bus, phase), scheduled in zip(nodes, network.scheduled.tolist(), strict=True):
+        source = Source.VIRTUAL if scheduled == 0 and bus != slack else Source.TELEMETERED
+        meters += [Meter(k, bus, source=source, phases=phase) for k in (KIND.P_INJECTION, KIND.Q_INJECTION)]
     return meters
 
 
@@ -235,7 +231,8 @@ def _with_other_loads(rng: np.random.Generator, network: Network) -> Network:
     for bus in network.buses:
         factor = level * rng.lognormal(0.0, 0.3)
         buses.append(replace(bus, p_load=factor * bus.p_load, q_load=factor * bus.q_load))
-    return replace(network, buses=tuple(buses))
+    loads = [replace(load, s=level * rng.lognormal(0.0, 0.3) * load.s) for load in network.loads]
+    return replace(network, buses=tuple(buses), loads=tuple(loads))
 
 
 def read_meters(rng: np.random.Generator, meters: Sequence[Meter], flow: PowerFlowResult) -> list[Measurement]:

@@ -47,7 +47,7 @@ def test_the_command_goes_on_where_its_table_ends_and_sums_up(tmp_path: Path, mo
     with table.open("w", newline="") as file:
         csv.writer(file).writerows([fault_histories.COLUMNS, astuple(an_outcome(0, wrong=1)), (1, 3, 12)])
     ran = []
-    monkeypatch.setattr(fault_histories, "run_history", lambda seed: ran.append(seed) or an_outcome(seed))
+    monkeypatch.setattr(fault_histories, "run_history", lambda seed, phases: ran.append(seed) or an_outcome(seed))
     done = CliRunner().invoke(fault_histories.main, ["--count", "4", "--jobs", "1", "--out", str(table)])
     assert done.exit_code == 0, done.output
     assert ran == [1, 2, 3]
