@@ -151,8 +151,8 @@ def find_omission(totals: Totals, part: Totals) -> str:
 
 
 def _first_bus(buses: str) -> int:
-    """First bus of a range such as "12-19"; 0 where the text begins with no number."""
-    number = buses.partition("-")[0]
+    """First bus of a range such as "12-19", or that of a node; 0 where the text begins with no number."""
+    number = buses.replace(".", "-").partition("-")[0]
     return int(number) if number.isdecimal() else 0
 
 

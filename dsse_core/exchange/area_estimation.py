@@ -24,6 +24,7 @@ from dsse_core.exchange.feeder_bad_data import (
     find_objective,
 )
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area
 from dsse_core.linear import choose_backend
 from dsse_core.linear.area_model import AreaModel, build_area_model
@@ -56,7 +57,7 @@ class AreaEstimation:
         self.failure = ""
         self.removed: tuple[str, ...] = ()
         self.critical: tuple[str, ...] = ()
-        self.unobservable: tuple[int, ...] = ()  # buses
+        self.unobservable: tuple[int, ...] = ()  # nodes, by rows
         self.is_first = False  # no step of this start has been taken, and no-load information is wanted
         self.reported: set[str] = set()  # own meters that the area has named as the worst in this term
         self.own_meters: frozenset[str] = frozenset()  # that have a reading
@@ -286,7 +287,7 @@ class AreaEstimation:
             referenced=self.area.reference is not None or bool(model.angles.size),
             silent=tuple(sorted(self._silent)),
             stale=(name,) if self._is_stale else (),
-            unobservable=_as_ranges([bus for bus in self.unobservable if bus not in self.area.not_owned]),
+            unobservable=_name_nodes(self.area.network, [node for node in self.unobservable if self._is_own[node]]),
         )
 
     def _multiply_own(self, a: np.ndarray, b: np.ndarray) -> float:
@@ -451,10 +452,12 @@ def _checked(information: BoundaryInformation) -> BoundaryInformation:
     return information
 
 
-def _as_ranges(buses: Sequence[int]) -> tuple[str, ...]:
-    """Bus ids as "7" or "12-19"."""
+def _name_nodes(network: Network, nodes: Sequence[int]) -> tuple[str, ...]:
+    """Names of nodes: "671.a", of balanced buses "7" or "12-19"."""
+    if network.node_phases:
+        return tuple(network.node_names[node] for node in nodes)
     runs: list[list[int]] = []
-    for bus in sorted(buses):
+    for bus in sorted(network.node_buses[node] for node in nodes):
         if runs and bus == runs[-1][-1] + 1:
             runs[-1].append(bus)
         else:

@@ -60,19 +60,19 @@ class NoLoadModel:
         return BoundaryInformation(R, np.zeros(boundary.d))
 
     def examine(self, received: Mapping[str, BoundaryInformation]) -> tuple[tuple[int, ...], frozenset[str]]:
-        """Ids of unobservable buses, and of indispensable meters, virtual ones included.
+        """The unobservable nodes, by rows, and the ids of indispensable meters, virtual ones included.
 
-        Neither the area's meters nor the information of neighbours determines the voltage of an unobservable bus.
+        Neither the area's meters nor the information of neighbours determines the voltage of an unobservable node.
         Without any one of the indispensable meters the state is not observable.
         """
         fit = self._fit(self._at_own_voltage(received))
         undetermined = np.zeros(self.model.size, dtype=bool)
         undetermined[self.model.free] = find_touched(fit.find_null_vectors())
-        network, n = self.model.area.network, self.model.n_nodes
-        rows = network.table.nodes.item[undetermined[: 2 * n].reshape(2, n).any(axis=0)]
+        n = self.model.n_nodes
+        nodes = np.flatnonzero(undetermined[: 2 * n].reshape(2, n).any(axis=0))
         unchecked = fit.find_unchecked()[: len(self.ids)]
         return (
-            tuple(network.table.bus_id[np.unique(rows)].tolist()),
+            tuple(nodes.tolist()),
             frozenset(self.ids[k] for k in np.flatnonzero(unchecked).tolist()),
         )
 

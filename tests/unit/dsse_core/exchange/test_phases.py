@@ -88,13 +88,14 @@ def test_areas_take_out_the_wrong_reading_of_a_phase_that_the_centre_takes_out(w
     assert_is_the_centres(run_rounds(partition, readings), partition, report)
 
 
-def test_areas_name_the_bus_with_a_phase_that_no_meter_determines() -> None:
+def test_areas_name_the_phases_that_no_meter_determines() -> None:
     network = make_feeder()
     out = {"vm@646.b", *(f"{kind}_injection@{bus}.b" for kind in "pq" for bus in (645, 646))}
     readings = [m for m in read_meters(network, 2, 0.0, is_rich=True) if m.meter.id not in out]
     rounds = run_rounds(build_partition(network, DEEP), readings)
     assert rounds.verdicts[-1] == "final unobservable"
-    assert {bus for side in rounds.estimations.values() for bus in side.unobservable} == {646}
+    named = {name for side in rounds.estimations.values() for name in side.totals().unobservable}
+    assert named == {"646.b", "646.c"}
     with pytest.raises(NotObservableError, match=r"the state of bus 646\.b, 646\.c;"):
         process_bad_data(network, readings)
 
