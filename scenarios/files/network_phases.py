@@ -165,11 +165,11 @@ def _read_ports(table: BranchTable, phases: str, at_to: str, place: _Place) -> P
 def _read_line(table: BranchTable, phases: str, place: _Place) -> Primitive:
     before, kv = len(place.problems), place.kv.get(table.from_, 1.0)
     z_base, unit = (kv * kv / place.base_mva, ("ohm", "us")) if table.is_in_ohm else (1.0, ("pu", "pu"))
-    if table.is_in_ohm and kv != (at_to := place.kv.get(table.to, kv)):
+    if kv != (at_to := place.kv.get(table.to, kv)):
         problem = (
             f"the line joins bus {table.from_} of {kv} kV and bus {table.to} of {at_to} kV; give a [[transformer]]"
         )
-        place.refuse("r_ohm", problem)
+        place.refuse(f"r_{unit[0]}", problem)
 
     def read(letter: str, unit: str) -> np.ndarray:
         return _expand(table, f"{letter}_{unit}", f"{letter}0_{unit}", phases, place)
@@ -307,7 +307,7 @@ def _read_legs(table: LoadTable, place: _Place) -> list[Load]:
     if there is None:
         place.refuse("bus", f"bus {table.bus} is not defined")
     elif not there:
-        place.refuse("bus", f"bus {table.bus} has no phases; state its load by its p_load_mw and q_load_mvar")
+        place.refuse("bus", f"bus {table.bus} has no phases; give the bus its phases")
     else:
         for leg in legs:
             ends = list_phases(leg) if leg else []

@@ -271,6 +271,13 @@ def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
             ("from = 2, to = 3", "from = 4, to = 3"),
             "branch[2].r_ohm: the line joins bus 4 of 4.0 kV and bus 3 of 12.0 kV",
         ),
+        (
+            (
+                'from = 1, to = 2, phases = "abc", r_ohm = 2.4, x_ohm = 4.8, b_us = 3.0, rating_a = 100.0',
+                'from = 1, to = 4, phases = "abc", r_pu = 0.1, x_pu = 0.1',
+            ),
+            "branch[1].r_pu: the line joins bus 1 of 12.0 kV and bus 4 of 4.0 kV; give a [[transformer]]",
+        ),
         (('"ca,a"', '"ca,b"'), "load[1].phases: bus 3 has no phase b; it has a, c"),
         (
             ('"ca,a"', '"cac,a"'),
