@@ -218,7 +218,7 @@ class AreaColumns:
     """as of buses"""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ScanColumns:
     """One row for each of many scans."""
 
@@ -241,9 +241,11 @@ class ScanColumns:
     """J still exceeds its limit"""
     lowest_vm_pu: Numbers
     lowest_vm_bus: Numbers
+    lowest_vm_phase: Texts | None = None
     highest_vm_pu: Numbers
     highest_vm_bus: Numbers
-    """extreme voltages and their buses"""
+    highest_vm_phase: Texts | None = None
+    """extreme voltages, their buses, and phases where there are some"""
     failure: Texts
     reason: Texts
     """`invalid`, `unobservable` or `diverged`, and the reason in words, where there is no estimate"""

@@ -12,9 +12,10 @@ import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.batch import BatchResult
-from dsse_core.results.columns import ScanColumns
+from dsse_core.grid.nodes import PhaseRows, name_node
+from dsse_core.results.columns import ScanColumns, list_columns
 from dsse_core.results.results import TABLES, Results, WithTables
-from dsse_core.results.table import Table, as_times
+from dsse_core.results.table import Table, as_times, name_phases
 
 MOST_CELLS = 200_000_000  # of all tables together: 1.6 GB, twice while they are put together
 
@@ -87,7 +88,7 @@ def make_scan_table(
     the meters that the readings do not tell from those.
     """
     rows, table = np.arange(len(batch.vm)), batch.plan.network.table
-    bus = table.bus_id[table.nodes.item]
+    nodes, bus = table.nodes, table.bus_id[table.nodes.item]
     found, failures = ~np.isnan(batch.vm[:, 0]), batch.failures
     lowest = np.argmin(np.where(np.isnan(batch.vm), np.inf, batch.vm), axis=1)
     highest = np.argmax(np.where(np.isnan(batch.vm), -np.inf, batch.vm), axis=1)
@@ -106,9 +107,26 @@ def make_scan_table(
         bad_data_left=bad_data_left,
         lowest_vm_pu=batch.vm[rows, lowest],
         lowest_vm_bus=np.where(found, bus[lowest], np.nan),
+        lowest_vm_phase=_name_phases(nodes, found, lowest),
         highest_vm_pu=batch.vm[rows, highest],
         highest_vm_bus=np.where(found, bus[highest], np.nan),
+        highest_vm_phase=_name_phases(nodes, found, highest),
         failure=[str(failures[row].code) if row in failures else "" for row in rows.tolist()],
         reason=[failures[row].text if row in failures else "" for row in rows.tolist()],
     )
-    return Table("scans", vars(columns))
+    return Table("scans", list_columns(columns))
+
+
+def name_lowest(scans: Table, row: int) -> str:
+    """The node of the lowest voltage of a row of the table of scans, such as 652.a, or 18; "" where there is none."""
+    if np.isnan(scans.lowest_vm_bus[row]):
+        return ""
+    phase = scans.lowest_vm_phase[row] if "lowest_vm_phase" in scans.columns else ""
+    return name_node(int(scans.lowest_vm_bus[row]), phase)
+
+
+def _name_phases(nodes: PhaseRows, found: np.ndarray, node: np.ndarray) -> list[str] | None:
+    """The phase of each ``node`` (n,), "" where there is none ``found``; None in a balanced network."""
+    if nodes.is_balanced:
+        return None
+    return [phase if there else "" for phase, there in zip(name_phases(nodes.phase[node]), found.tolist(), strict=True)]

@@ -62,11 +62,14 @@ def make_result(areas: Mapping[str, Area], state: StateMessage) -> Result:
         buses, branches = make_area_flows(area, state)
     except InvalidInputError as error:
         return result | {"problem": "; ".join(error.problems)}
+    phase = ("phase",) if state.phases else ()
+    of_buses, of_branches = (
+        (*BUS_COLUMNS, *phase, "injection_problem", *OF_NUMBERS),
+        (*BRANCH_COLUMNS, *phase, *OF_NUMBERS),
+    )
     return result | {
-        "buses": [
-            {key: row[key] for key in (*BUS_COLUMNS, "injection_problem", *OF_NUMBERS)} for row in rows_as_json(buses)
-        ],
-        "branches": [{key: row[key] for key in (*BRANCH_COLUMNS, *OF_NUMBERS)} for row in rows_as_json(branches)],
+        "buses": [{key: row[key] for key in of_buses} for row in rows_as_json(buses)],
+        "branches": [{key: row[key] for key in of_branches} for row in rows_as_json(branches)],
     }
 
 

@@ -16,7 +16,7 @@ from coordinator.watch.replay.ticks import Tick
 from dsse_core.errors import DsseError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.grid.measurement import Measurement, Source
-from dsse_core.results.columns import ScanColumns
+from dsse_core.results.columns import ScanColumns, list_columns
 from dsse_core.results.results import Results
 from dsse_core.results.scans import ScanTables
 from dsse_core.results.table import ScanLabel, Table, as_times
@@ -69,7 +69,8 @@ class ReplayedScans:
         missing: list[str],
     ) -> dict[str, object]:
         """The columns of ``ScanColumns`` but the time, of one scan. J and its limit are the centralised ones."""
-        vm, bus = comparison.decentralised.vm, self._scenario.network.node_buses
+        network = self._scenario.network
+        vm, bus, phase = comparison.decentralised.vm, network.node_buses, network.node_phases
         lowest, highest = ((int(of(vm)) if not np.isnan(vm).all() else None) for of in (np.nanargmin, np.nanargmax))
         return {
             "scan": scan,
@@ -87,6 +88,8 @@ class ReplayedScans:
             "lowest_vm_bus": np.nan if lowest is None else float(bus[lowest]),
             "highest_vm_pu": np.nan if highest is None else vm[highest],
             "highest_vm_bus": np.nan if highest is None else float(bus[highest]),
+            **({"lowest_vm_phase": "" if lowest is None else phase[lowest]} if phase else {}),
+            **({"highest_vm_phase": "" if highest is None else phase[highest]} if phase else {}),
             "failure": "",
             "reason": f"no estimate of {', '.join(missing)}" if missing else "",
         }
@@ -97,4 +100,4 @@ class ReplayedScans:
         columns = {name: [row[name] for row in self._rows] for name in self._rows[0]}
         arrays = {name: column if isinstance(column[0], str) else np.array(column) for name, column in columns.items()}
         described = ScanColumns(time=as_times(np.array(self._times)), **arrays)  # type: ignore[arg-type]
-        return ScanTables(Table("scans", vars(described)), lambda: self._results)
+        return ScanTables(Table("scans", list_columns(described)), lambda: self._results)

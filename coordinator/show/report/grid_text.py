@@ -15,7 +15,7 @@ from dsse_core.estimation.bad_data import BadDataReport, SuspectKept
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.printable import all_printable, printable, shortened
 from dsse_core.results.results import Results
-from dsse_core.results.scans import ScanTables
+from dsse_core.results.scans import ScanTables, name_lowest
 from dsse_core.results.table import Table, name_by_phase
 from dsse_core.results.units import base_kw
 
@@ -184,7 +184,7 @@ def format_scans(found: ScanEstimates, tables: ScanTables) -> str:
         left = f" (or {shortened(others, LONGEST_LIST)})" + left if (others := scans.undecided_meters[k]) else left
         removed = f"{shortened(scans.removed_meters[k], LONGEST_LIST)}{left}" or "-"
         numbers = f"{scans.objective[k]:.4g}", f"{scans.chi_square_limit[k]:.4g}", str(scans.iterations[k])
-        lowest = f"{scans.lowest_vm_pu[k]:.5f}", str(int(scans.lowest_vm_bus[k]))
+        lowest = f"{scans.lowest_vm_pu[k]:.5f}", name_lowest(scans, k)
         rows.append([scans.scan[k], str(scans.readings[k]), *numbers, *lowest, removed])
     total = f"{len(rows)} of {len(scans)} scans estimated, back end {found.batch.plan.backend}"
     failures = [f"no estimate of {failure}" for failure in found.describe_failures()]

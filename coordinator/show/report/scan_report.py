@@ -12,7 +12,7 @@ from coordinator.show.figures.scan_figures import Course, draw_scans
 from coordinator.show.report.page import MAX_ROWS, Page, PageTable, write_page
 from coordinator.show.report.settings import find_origin
 from dsse_core.results.meters import REMOVED
-from dsse_core.results.scans import ScanTables
+from dsse_core.results.scans import ScanTables, name_lowest
 from dsse_core.results.table import name_by_phase
 from scenarios.scenario import Scenario
 
@@ -83,7 +83,7 @@ def _list_tables(course: Course) -> Iterator[PageTable]:
         (
             course.name_of(k), scans.status[k], str(scans.readings[k]), _write(scans.objective[k], ".4g"),
             _write(scans.chi_square_limit[k], ".4g"), str(scans.removed[k]), _write(scans.lowest_vm_pu[k], ".5f"),
-            _write(scans.lowest_vm_bus[k], ".0f"), scans.removed_meters[k],
+            name_lowest(scans, k), scans.removed_meters[k],
         )
         for k in range(min(len(scans), MAX_ROWS))
     ]  # fmt: skip

@@ -74,6 +74,10 @@ GAUGES = {
     "mismatch_voltage_pu": "Largest difference to a neighbour at a bus that both estimate",
     "mismatch_angle_degrees": "The same of the angle",
 }
+GAUGES_BY_PHASE = {
+    "phase_voltage_lowest_pu": "Lowest estimated voltage of a phase",
+    "phase_voltage_highest_pu": "Highest estimated voltage of a phase",
+}
 COUNTERS = {
     "messages": "Messages handed to the bus by this incarnation",
     "bytes": "Bytes of these",
@@ -178,6 +182,9 @@ def _list_areas(view: View, watcher: Watcher) -> Iterator[Metric]:
         name: GaugeMetricFamily(f"dsse_area_{name}", text, labels=["area", "neighbour"])
         for name, text in GAUGES_BY_NEIGHBOUR.items()
     }
+    by_phase = [
+        GaugeMetricFamily(f"dsse_area_{name}", text, labels=["area", "phase"]) for name, text in GAUGES_BY_PHASE.items()
+    ]
     quality = GaugeMetricFamily("dsse_area_quality", "1 for the quality that the state has", labels=["area", "quality"])
     rejected = CounterMetricFamily("dsse_area_rejected", "Payloads rejected, by reason", labels=["area", "reason"])
     for area in view.areas:
@@ -188,6 +195,10 @@ def _list_areas(view: View, watcher: Watcher) -> Iterator[Metric]:
             quality.add_metric([area.name, word], float(word == area.quality))
         if state is None:
             continue
+        of_phases = _find_voltages(state) if area.freshness.fresh else {}
+        for phase, ends in of_phases.items():
+            for gauge, number in zip(by_phase, ends, strict=True):
+                gauge.add_metric([area.name, phase], number)
         for name, number in _counts_of(area).items():
             counters[name].add_metric([area.name], number)
         for reason, count in sorted(area.rejected.items()):
@@ -197,6 +208,15 @@ def _list_areas(view: View, watcher: Watcher) -> Iterator[Metric]:
             for neighbour, number in sorted(numbers.items()):
                 by_neighbour[name].add_metric([area.name, neighbour], number)
     yield from (*gauges.values(), quality, *counters.values(), rejected, *by_neighbour.values())
+    yield from (gauge for gauge in by_phase if gauge.samples)  # none of balanced networks
+
+
+def _find_voltages(state: StateMessage) -> dict[str, tuple[float, float]]:
+    """Phase -> its lowest and highest voltage, p.u.; empty in a balanced network."""
+    of_phase: dict[str, list[float]] = {}
+    for phase, vm in zip(state.phases, state.vm, strict=False):
+        of_phase.setdefault(phase, []).append(vm)
+    return {phase: (min(values), max(values)) for phase, values in of_phase.items()}
 
 
 def _numbers_of(area: AreaView, state: StateMessage | None) -> dict[str, float]:

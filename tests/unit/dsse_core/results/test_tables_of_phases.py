@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dsse_core.estimation.batch import estimate_batch
 from dsse_core.estimation.estimator import estimate_state
+from dsse_core.estimation.plan import build_estimation_plan
 from dsse_core.estimation.result import EstimationResult
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.division import build_partition
@@ -21,6 +23,7 @@ from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.results.buses import make_bus_table
 from dsse_core.results.deviations.choose import find_deviations
 from dsse_core.results.results import results_of_estimate, results_of_power_flow
+from dsse_core.results.scans import make_scan_table, name_lowest
 from dsse_core.results.state import AreaVoltages, find_state, join_states, read_state
 from dsse_core.results.totals import division_of, find_totals
 from tests.support.phases import DEEP, KIND, TIE, make_feeder, read_meters, solve
@@ -258,3 +261,16 @@ def test_rows_of_a_part_without_ground_say_so_and_promise_no_voltages_to_ground(
         find_state(network, result.vm, result.va), [""] * len(buses), {}, sigma, sigma, np.ones((2, len(buses)))
     )
     np.testing.assert_array_equal(np.isnan(made.sigma_vm_kv), ~buses.grounded)
+
+
+def test_the_table_of_many_scans_names_the_phases_of_its_extreme_voltages(feeder: Network) -> None:
+    readings = read_meters(feeder, 3, 1.0, is_rich=True)
+    plan = build_estimation_plan(feeder, [m.meter for m in readings])
+    values = np.array([[m.value for m in readings], [np.nan] * len(readings)])
+    sigmas = np.tile([m.sigma for m in readings], (2, 1))
+    batch, none = estimate_batch(plan, values, sigmas), np.zeros(2)
+    scans = make_scan_table(("one", "two"), none, batch, none, none, {}, {}, none > 0)
+    lowest = int(np.argmin(batch.vm[0]))
+    assert name_lowest(scans, 0) == feeder.node_names[lowest]
+    assert (name_lowest(scans, 1), scans.highest_vm_phase[1]) == ("", "")
+    assert scans.columns.index("lowest_vm_phase") == scans.columns.index("lowest_vm_bus") + 1

@@ -101,6 +101,18 @@ def test_an_area_with_a_fresh_state_is_ready_and_its_numbers_are_there(page: Met
     assert found["dsse_process_present", "sub", "gateway"] == found["dsse_gateways_alive",] == 1.0
 
 
+def test_voltages_of_phases_have_the_label_of_their_phase_and_balanced_areas_have_none(page: MetricsPage):
+    four = {key: (0.1,) * 4 for key in ("va", "sigma_vm", "sigma_va")}
+    nodes = {"buses": (1, 1, 2, 2), "phases": ("a", "b", "a", "b"), "vm": (1.0, 0.97, 0.99, 1.02)}
+    page.show(watcher_of_one(**nodes, **four), time.monotonic(), "")
+    found = {key[2]: number for key, number in numbers(page).items() if key[0] == "dsse_area_phase_voltage_lowest_pu"}
+    assert found == {"a": 0.99, "b": 0.97}
+    assert numbers(page)["dsse_area_phase_voltage_highest_pu", "area1", "b"] == 1.02
+    page.show(watcher_of_one(), time.monotonic(), "")
+    assert not any("phase" in key[0] for key in numbers(page))
+    assert "phase_voltage" not in ask(page, "/metrics")[1]
+
+
 def test_numbers_that_are_not_of_the_present_are_absent_and_counted(page: MetricsPage):
     page.show(watcher_of_one(), time.monotonic(), "")
     found = numbers(page)

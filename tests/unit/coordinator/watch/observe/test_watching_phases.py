@@ -12,6 +12,7 @@ from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation, StateMessage
 from agents.protocol.quality import EstimateLimits
 from agents.strategies.interface import Estimate
+from coordinator.field.gateway.results import make_result
 from coordinator.watch.observe.area_flows import make_area_flows
 from coordinator.watch.observe.causes import find_causes
 from coordinator.watch.observe.grid_tables import GridTables, find_tables
@@ -22,7 +23,9 @@ from coordinator.watch.observe.view_text import format_view
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import StateLimits
+from dsse_core.grid.boundary import Kind
 from dsse_core.results.results import results_of_power_flow
+from dsse_core.results.state import find_state
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 from tests.support.shown_states import published_by
@@ -151,3 +154,25 @@ def test_a_state_of_other_nodes_is_refused_by_node() -> None:
     fewer = {key: getattr(state, key)[1:] for key in ("buses", "phases", "vm", "va", "sigma_vm", "sigma_va")}
     with pytest.raises(InvalidInputError, match=r"differ in bus [0-9]+\.[abc];"):
         make_area_flows(PARTITION.area("area2"), replace(state, **fewer))
+
+
+def test_an_area_that_knows_the_powers_into_its_children_has_the_injection_of_each_node() -> None:
+    assert FLOW is not None
+    area, into = PARTITION.area("area1"), []
+    for power in area.powers_into_children:
+        child, rows = PARTITION.area(power.area).network, PARTITION.rows_of_nodes[power.area]
+        alone = find_state(child, FLOW.vm[rows], FLOW.va[rows]).injection[child.node(power.bus, power.phase)]
+        into.append(alone.real if power.kind is Kind.P else alone.imag)
+    buses, _ = make_area_flows(area, state_of("area1", into_children=tuple(into)))
+    rows, whole = PARTITION.rows_of_nodes["area1"], results_of_power_flow(FLOW).buses
+    assert area.boundary_buses
+    assert not any(buses.injection_problem)
+    np.testing.assert_allclose(buses.p_kw, whole.p_kw[rows], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(buses.q_kvar, whole.q_kvar[rows], rtol=0, atol=1e-6)
+
+
+def test_results_of_a_gateway_name_the_phase_of_each_row() -> None:
+    result = make_result({area.name: area for area in PARTITION.areas}, state_of("area2"))
+    network = PARTITION.area("area2").network
+    assert [(row["bus"], row["phase"]) for row in result["buses"]] == list(network.nodes)
+    assert {row["phase"] for row in result["branches"] if row["branch"] == "632-670"} == {"a", "b", "c"}
