@@ -46,9 +46,13 @@ def pytest_configure(config: pytest.Config) -> None:
     settings.load_profile("documented")
     if config.option.markexpr == "quick":  # after each change of dsse_core, compiling would take half a minute
         os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
-    elif config.getoption("numprocesses", None) and not config.option.collectonly and find_spec("numba"):
-        if config.args_source is not pytest.Config.ArgsSource.ARGS:  # a few named tests compile what they need
-            compile_ahead(config)
+    elif (
+        config.getoption("numprocesses", None)
+        and not config.option.collectonly
+        and find_spec("numba")
+        and config.args_source is not pytest.Config.ArgsSource.ARGS  # a few named tests compile what they need
+    ):
+        compile_ahead(config)
 
 
 def compile_ahead(config: pytest.Config) -> None:
