@@ -65,18 +65,10 @@ class Injections:
         pairs: np.ndarray = self.pairs[:, can_be]
         return np.where(self.is_alone[0, can_be], pairs, pairs[::-1])
 
-    def has_legs(self, node: int, other: int) -> bool:
-        """True where legs stand between two nodes."""
-        return bool(self._at(node, other).any())
-
-    def _at(self, node: int, other: int) -> np.ndarray:
-        """True for the pair of two nodes, (n_pair,)."""
-        at: np.ndarray = (self.pairs[0] == min(node, other)) & (self.pairs[1] == max(node, other))
-        return at
-
-    def is_leg(self, node: int, other: int) -> bool:
-        """True where a meter at ``node`` can read the power between two nodes."""
-        return bool(self.is_alone[int(node > other), self._at(node, other)].any())
+    def can_read(self, node: int, other: int) -> bool | None:
+        """True where a meter at ``node`` can read the power between two nodes; None where no legs stand there."""
+        at = (self.pairs[0] == min(node, other)) & (self.pairs[1] == max(node, other))
+        return bool(self.is_alone[int(node > other), at].any()) if at.any() else None
 
     @cached_property
     def is_ungrounded(self) -> np.ndarray:

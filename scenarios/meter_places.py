@@ -90,6 +90,16 @@ class Sites:
         pair = read_pair("" if phases == TOTAL else phases)
         return (self.row_of[site], *pair) if pair else None
 
+    def find_pairs(self, rows: np.ndarray) -> Spots:
+        """The spots between each phase and the next at the buses in ``rows``, of two phases one."""
+        pairs = []
+        for row in rows.tolist():
+            phases = self.rows.phase[self.rows.at(row)].tolist()
+            following = phases[1:] + (phases[:1] if len(phases) > 2 else [])
+            pairs += [(row, one, other) for one, other in zip(phases, following, strict=False)]
+        row, *both = np.array(pairs, dtype=np.int64).reshape(-1, 3).T
+        return Spots(row, np.stack(both))
+
     def spots_of(self, rows: np.ndarray) -> Spots:
         """The spots at nodes or ports ``rows``."""
         phase = self.rows.phase[rows]

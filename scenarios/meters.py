@@ -180,8 +180,14 @@ class _Places:
         return self.branches if key in KINDS_ON_BRANCHES else self.buses
 
     def _at(self, key: str) -> Spots:
-        """The spots of a key with buses."""
-        return self.buses.find(self._listed(key))
+        """The spots of a key with buses, between phases at whole buses in parts without ground."""
+        listed, table = self._listed(key), self.network.table
+        if table.nodes.is_balanced or not (ungrounded := self.network.gauge.ungrounded):
+            return self.buses.find(listed)
+        whole = self.buses.list_whole(listed)
+        floats = np.isin(table.bus_id[whole], ungrounded)
+        to_ground = self.buses.spots_of(table.nodes.of(whole[~floats]))
+        return join_spots([to_ground, self.buses.find_pairs(whole[floats]), self.buses.find_named(listed)])
 
     def _on(self, key: str) -> Spots:
         """The spots of a key with branches, by their rows among all branches."""
@@ -242,12 +248,12 @@ class _Places:
         if not (spot.phases[1] >= 0).any():
             return ""
         first, other = (int(self.network.table.nodes.find(spot.row, phase)[0]) for phase in spot.phases)
-        if self.injections.is_leg(first, other):
+        if can_read := self.injections.can_read(first, other):
             return ""
         bus, (one, two) = self.buses.read(place)[0], list_phases(self.buses.read(place)[1])
-        if not self.injections.has_legs(first, other):
+        if can_read is None:
             return f"{place!r}: no load of bus {bus} stands between {one} and {two}; name one phase"
-        turned = self.injections.is_leg(other, first)
+        turned = self.injections.can_read(other, first)
         cure = f"name the leg {f'{bus}.{two}{one}'!r}" if turned else "meter each phase"
         return f"{place!r}: other loads of bus {bus} draw at {one}, and a meter reads the current there; {cure}"
 
@@ -256,24 +262,20 @@ class _Places:
         listed = given if isinstance(given, tuple) else ()
         for place, count in sorted(Counter(listed).items(), key=_order):
             name = _quote(self.buses, place)
-            problem = self._find_missing(self.buses, place) or self.buses.find_problem_of_phases(
-                place, 1, has_total=False
-            )
-            if problem:
+            problem = self._find_missing(self.buses, place)
+            if problem := problem or self.buses.find_problem_of_phases(place, 1, has_total=False):
                 yield f"{path}: {problem}"
-            elif not (self._is_idle(place) or self._is_ungrounded(place)):
+            elif not self._injects_nothing(place):
                 yield f"{path}: bus {name} has a load or a source in the network file; remove it here"
             if count > 1:
                 yield f"{path}: bus {name} is listed twice; keep one"
         yield from (f"{path}: {problem}" for problem in _find_overlaps(self.buses, listed))
 
-    def _is_idle(self, place: Place) -> bool:
-        """True where a node of ``place`` has no load and no source."""
+    def _injects_nothing(self, place: Place) -> bool:
+        """True where a node of ``place`` has no load and no source, or the currents of the bus sum to zero."""
         spots = self.buses.find([place])
-        return bool(self.injections.is_idle[self.network.table.nodes.find(spots.row, spots.phases[0])].any())
-
-    def _is_ungrounded(self, place: Place) -> bool:
-        return bool(self.ungrounded[self.buses.list_whole([place])].any())
+        is_idle = self.injections.is_idle[self.network.table.nodes.find(spots.row, spots.phases[0])]
+        return bool(is_idle.any() or self.ungrounded[self.buses.list_whole([place])].any())
 
 
 def _order(counted: tuple[Place, int]) -> tuple[int, str]:

@@ -208,7 +208,7 @@ class BusMeterTable(SigmaTable):
 
     buses: BusSelection = Field(description='where the meters stand: "all" or a list of bus numbers')
     """Buses of the meters. With phases `671` is each of the bus, `"671.c"` one to ground, `"671.ab"` between two,
-    `"671.total"` the power of all.
+    `"671.total"` the power of all. In parts without ground voltages are between phases.
     """
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.estimator import estimate_state
-from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.grid.measurement import MeasurementKind, Meter, Source, find_meter_problems
 from dsse_core.grid.meter_table import list_ids
 from dsse_core.grid.network import Network
 from scenarios.check import check_scenario
@@ -23,6 +23,7 @@ from scenarios.files.scenario_file import MeasurementsTable
 from scenarios.meters import build_meters, build_sigma_rule, find_place_problems
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.ieee_feeders import load_feeder
 
 IEEE13 = load_case("ieee13")
 KIND = MeasurementKind
@@ -248,3 +249,28 @@ def test_the_phase_of_a_lateral_that_no_meter_determines_is_named_with_its_cure(
     (problem,) = caught.value.problems
     assert problem.startswith("whole grid: the measurements do not determine the state of bus 611.c; any one of these")
     assert "P and Q injection at bus 611.c" in problem
+
+
+def test_voltages_of_whole_buses_in_parts_without_ground_are_between_phases() -> None:
+    """Behind its delta winding the feeder of 37 buses has no ground; the bus of its source has."""
+    network = load_feeder("ieee37")
+    expected = ["vm@1800.a", "vm@1800.b", "vm@1800.c", "vm@701.ab", "vm@701.bc", "vm@701.ca"]
+    assert ids_of({"voltage": [701, 1800]}, network) == expected
+    every = build_meters(of_keys({"voltage": "all", "angle": [702]}), network)
+    assert list(find_meter_problems(network, every)) == []
+
+
+@pytest.mark.parametrize("place", ["632-670+632-633", "632-670,632-633", "632-670.total+632-633.total"])
+def test_a_sum_over_elements_of_several_branches_is_no_place(place: str) -> None:
+    (problem,) = find_place_problems(of_keys({"flow": [place]}), IEEE13)
+    assert problem.startswith(f"measurements.flow.branches: branch {place!r} is not in network 'ieee13'")
+
+
+def test_a_reading_of_a_phase_that_injects_exactly_nothing_is_refused_by_its_node(tmp_path: Path) -> None:
+    readings, scenario = tmp_path / "readings.csv", tmp_path / "scenario.toml"
+    readings.write_text("meter,value_kw,sigma_kw\np_injection@645.c,0,1\np_injection@645.b,-170,2\n")
+    text = 'version = 1\ndescription = "readings"\nnetwork = "ieee13"\nareas = { count = 2 }\n'
+    scenario.write_text(f'{text}[telemetry]\nsource = "file"\nfile = "readings.csv"\n')
+    with pytest.raises(InvalidInputError, match=r"says that bus 645\.c injects exactly nothing") as caught:
+        load_scenario(scenario)
+    assert len(caught.value.problems) == 1
