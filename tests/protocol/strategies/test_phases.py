@@ -184,3 +184,22 @@ def test_a_gateway_that_is_wrong_as_a_whole_is_named_where_buses_have_phases(fac
         bus.run(3.0)
         notes = [note for state in bus.states.values() for note in state.notes if "look wrong" in note]
         assert bool(notes) is is_named
+
+
+def test_a_bus_of_loads_between_phases_is_a_boundary_through_a_removal_and_restarts():
+    """Areas 2 and 3 of ieee13 meet at bus 671; for the gross error all areas start anew without the voltmeter there."""
+    scenario = load_scenario("ieee13", changes={"telemetry.gross_error": [{"meter": "vm@671.b", "sigmas": 40}]})
+    telemetry = make_telemetry(scenario)
+    centre = process_bad_data(scenario.network, telemetry.union)
+    assert [removed.measurement.meter.id for removed in centre.removed] == ["vm@671.b"]
+    bus = SimulatedBus(area_files_of(scenario), telemetry.by_area)
+    bus.run(3.0)
+    for gone in ("area3", "area2"):
+        assert find_qualities(bus) == dict.fromkeys(bus.files, "good")
+        assert bus.states["area2"].removed == ("vm@671.b",)
+        assert find_gap(bus, scenario.network, centre) < GAP
+        bus.kill(gone)
+        bus.run(3.0)
+        bus.start(gone)
+        bus.run(3.0)
+    assert find_gap(bus, scenario.network, centre) < GAP
