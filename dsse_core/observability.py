@@ -20,7 +20,7 @@ from dsse_core.grid.measurement import MeasurementKind, Meter, find_meter_proble
 from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
 from dsse_core.grid.meter_table import KINDS, each_fits, number_kinds, number_meters
 from dsse_core.grid.network import Network
-from dsse_core.grid.nodes import PHASES, list_phases
+from dsse_core.grid.nodes import list_phases, name_node
 from dsse_core.grid.radial_order import order_tableau
 from dsse_core.matrices.augmented import AugmentedPattern, reciprocal_row_lengths, scale_rows
 
@@ -32,7 +32,7 @@ TABLEAU_SCALE = 1e-8  # singular values are distinguished down to sqrt(TABLEAU_S
 # A shift keeps the factorisation from being exactly singular; where rounding swallows it, the next one is tried. The
 # largest still distinguishes singular values of sqrt(TABLEAU_SCALE * 1e-14) = 1e-11.
 SHIFTS = (1e-20, 1e-18, 1e-16, 1e-14)
-WIDTH = 4  # null vectors sought: one meter cures at most 2, and 4 random ones touch every undetermined variable
+WIDTH = 4  # null vectors sought: of one phase a meter cures at most 2, and 4 random ones touch all that is undetermined
 TOUCHED = 1e-6  # entry of a null vector from which on a variable counts as undetermined
 MAX_CURES = 4
 
@@ -67,10 +67,10 @@ def find_indispensable_rows(network: Network, meters: Sequence[Meter], *, refere
     if not _all_fit(network, meters) and (problems := list(find_meter_problems(network, meters))):
         raise InvalidInputError(f"meters of network {network.name!r}", problems)
     reference = find_reference(network, reference)
-    model, n = _no_load_model(network, meters), network.n_nodes
+    model, n, width = _no_load_model(network, meters), network.n_nodes, 2 + 2 * _most_phases(network)
     free = np.delete(np.arange(2 * n), network.nodes_at(reference))
     order = order_tableau(network, reference, model, free)
-    fit = NoLoadFit(_scaled_jacobian(network, model, reference)[:, free], None if order.fills_in else order.rows)
+    fit = NoLoadFit(_scaled_jacobian(network, model, reference)[:, free], None if order.fills_in else order.rows, width)
     unseen = fit.find_null_vectors()
     if unseen.shape[1] == 0:
         found: np.ndarray = number_kinds(meters) != _CURRENT
@@ -78,12 +78,14 @@ def find_indispensable_rows(network: Network, meters: Sequence[Meter], *, refere
         return found
     null = np.zeros((2 * n, unseen.shape[1]))
     null[free] = unseen
-    undetermined = find_touched(null)
-    rows, nodes = np.flatnonzero(undetermined.reshape(2, n).any(axis=0)), network.table.nodes
-    of_nodes = zip(network.table.bus_id[nodes.item[rows]].tolist(), nodes.phase[rows].tolist(), strict=True)
-    places, present = [(bus, PHASES[phase]) for bus, phase in of_nodes], {meter.id for meter in meters}
-    names = [f"{bus}.{phase}" if phase else bus for bus, phase in places]
-    raise NotObservableError(names, _find_cures(network, places, present, null, reference))
+    rows = np.flatnonzero(find_touched(null).reshape(2, n).any(axis=0))
+    places, present = [network.nodes[row] for row in rows.tolist()], {meter.id for meter in meters}
+    cures = _find_cures(network, places, present, null, reference) if null.shape[1] < width else []
+    raise NotObservableError([name_node(*place) if place[1] else place[0] for place in places], cures)
+
+
+def _most_phases(network: Network) -> int:
+    return int(np.bitwise_count(network.table.nodes.sets).max())
 
 
 def _all_fit(network: Network, meters: Sequence[Meter]) -> bool:
@@ -112,13 +114,14 @@ class NoLoadFit:
     The centre asks it about the meters of the grid, an area about its own and the information of its neighbours.
 
     ``A`` (n_rows, n_free): rows of meters at no load, of length 1 at most. ``order``: order of elimination of the
-    tableau, see ``AugmentedPattern``.
+    tableau, see ``AugmentedPattern``. ``width``: number of changes sought at once.
 
     Raises:
         InvalidInputError: no factor is found.
     """
 
-    def __init__(self, A: sp.csr_array, order: np.ndarray | None = None) -> None:
+    def __init__(self, A: sp.csr_array, order: np.ndarray | None = None, width: int = WIDTH) -> None:
+        self._width = width
         self._A, self._pattern = A, AugmentedPattern(A, order=order)
         n_rows, n_free = A.shape
         for shift in SHIFTS:
@@ -136,10 +139,10 @@ class NoLoadFit:
     def find_null_vectors(self) -> np.ndarray:
         """Changes that no row sees: orthonormal columns, shape (n_free, k).
 
-        They are complete if k < WIDTH. With k = WIDTH there may be more changes, of which these are a random choice.
+        They are complete if k < width. With k = width there may be more changes, of which these are a random choice.
         """
         n_rows, n_free = self._A.shape
-        width = min(WIDTH, n_free)
+        width = min(self._width, n_free)
         X = np.random.default_rng(0).standard_normal((n_free, width))
         for _ in range(2):  # each pass multiplies the changes that no row sees by 1e6 and more
             X = np.linalg.qr(self._solve(np.zeros((n_rows, width)), X)[1])[0]
@@ -182,9 +185,7 @@ def _scaled_jacobian(network: Network, model: MeasurementModel, reference: int) 
 def _find_cures(
     network: Network, places: Sequence[tuple[int, str]], present: set[str], null: np.ndarray, reference: int
 ) -> list[str]:
-    """Single meters whose rows see every null vector, as text."""
-    if null.shape[1] == WIDTH:
-        return []
+    """Single meters, or those of all phases of one place, whose rows see every null vector, as text."""
     candidates = [
         missing
         for candidate in _candidates(network, places)
@@ -206,23 +207,35 @@ def _split(rows: np.ndarray, lengths: Sequence[int]) -> list[np.ndarray]:
 
 
 def _candidates(network: Network, places: Sequence[tuple[int, str]]) -> Iterator[list[Meter]]:
-    kind = MeasurementKind
+    """Meters at single nodes and ports, then at all phases of a place that are not determined."""
+    kind, lacking = MeasurementKind, dict[int, list[str]]()
+    for bus, phase in places:
+        lacking.setdefault(bus, []).append(phase)
 
-    def at(place: tuple[int, str], *kinds: MeasurementKind) -> list[Meter]:
-        return [Meter(k, place[0], phases=place[1]) for k in kinds]
+    def at(bus: int, phases: Sequence[str], *kinds: MeasurementKind, branch: str | None = None) -> list[Meter]:
+        return [Meter(k, bus, branch, phases=phase) for phase in phases for k in kinds]
 
-    yield from (at(place, kind.VM) for place in places)
-    for branch in dict.fromkeys(branch for bus, _ in places for branch in network.branches_at[bus]):
-        for phase in list_phases(branch.primitive.from_phases if branch.primitive else ""):
-            yield [Meter(k, branch.from_bus, branch.id, phases=phase) for k in (kind.P_FLOW, kind.Q_FLOW)]
-    yield from (at(place, kind.P_INJECTION, kind.Q_INJECTION) for place in places)
-    yield from (at(place, kind.VM, kind.VA) for place in places)
+    yield from (at(bus, [phase], kind.VM) for bus, phase in places)
+    ends = {}
+    for branch in dict.fromkeys(branch for bus in lacking for branch in network.branches_at[bus]):
+        there = list_phases(branch.primitive.from_phases if branch.primitive else "")
+        wanted = [p for p in there if p in (*lacking.get(branch.from_bus, ()), *lacking.get(branch.to_bus, ()))]
+        ends[branch] = wanted or there
+        yield from (at(branch.from_bus, [p], kind.P_FLOW, kind.Q_FLOW, branch=branch.id) for p in there)
+    yield from (at(bus, [phase], kind.P_INJECTION, kind.Q_INJECTION) for bus, phase in places)
+    yield from (at(bus, [phase], kind.VM, kind.VA) for bus, phase in places)
+    if all(len(phases) < 2 for phases in lacking.values()):
+        return
+    for branch, phases in ends.items():
+        yield at(branch.from_bus, phases, kind.P_FLOW, kind.Q_FLOW, branch=branch.id)
+    yield from (at(bus, phases, kind.P_INJECTION, kind.Q_INJECTION) for bus, phases in lacking.items())
+    yield from (at(bus, phases, kind.VM, kind.VA) for bus, phases in lacking.items())
 
 
 def _describe(meters: Sequence[Meter]) -> str:
-    """E.g. "P and Q flow of branch 3-4 at bus 3", "voltage magnitude at bus 2"."""
-    what = " and ".join(_QUANTITY[meter.kind] for meter in meters)
-    bus, branch = meters[0].at, meters[0].branch
+    """E.g. "P and Q flow of branch 3-4 at bus 3", "voltage magnitude at bus 2", of two phases "... at bus 2.a, 2.b"."""
+    what = " and ".join(dict.fromkeys(_QUANTITY[meter.kind] for meter in meters))
+    bus, branch = ", ".join(dict.fromkeys(meter.at for meter in meters)), meters[0].branch
     if branch:
         return f"{what} flow of branch {branch} at bus {bus}"
     return f"{what} injection at bus {bus}" if meters[0].kind.of_injection else f"{what} at bus {bus}"
