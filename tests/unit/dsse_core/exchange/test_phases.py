@@ -10,6 +10,7 @@ import pytest
 
 from dsse_core.errors import NotObservableError
 from dsse_core.estimation.bad_data import process_bad_data
+from dsse_core.estimation.decision import add_totals
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement, Meter, Source
@@ -21,6 +22,7 @@ from dsse_core.linear.sparse import SparseRows
 from tests.support.centre import GAP, assert_goes_the_centres_way, assert_is_the_centres, trace_centre
 from tests.support.levels import further
 from tests.support.phases import AREAS, DEEP, KIND, RING, TIE, make_feeder, read_meters, run_rounds, solve
+from tests.support.random_phases import make_random_feeder, make_wrong, read_random_meters
 
 TWO = {"head": [650, 632, 671, 684, 611, 692, 675], "two": AREAS["two"]}
 
@@ -88,16 +90,55 @@ def test_areas_take_out_the_wrong_reading_of_a_phase_that_the_centre_takes_out(w
     assert_is_the_centres(run_rounds(partition, readings), partition, report)
 
 
-def test_areas_name_the_phases_that_no_meter_determines() -> None:
-    network = make_feeder()
-    out = {"vm@646.b", *(f"{kind}_injection@{bus}.b" for kind in "pq" for bus in (645, 646))}
-    readings = [m for m in read_meters(network, 2, 0.0, is_rich=True) if m.meter.id not in out]
+UNMETERED = {
+    "one phase of a lateral": (
+        {"vm@646.b", *(f"{kind}_injection@{bus}.b" for kind in "pq" for bus in (645, 646))},
+        "P and Q flow of branch 645-646 at bus 645.b",
+    ),
+    "the end of a lateral": (
+        {"vm@611.c", *(f"{kind}_injection@{bus}.c" for kind in "pq" for bus in (611, 684))},
+        "voltage magnitude and voltage angle at bus 611.c",
+    ),
+    "all phases behind a bank": (
+        {f"{kind}@{bus}.{p}" for kind in ("vm", "p_injection", "q_injection") for bus in (675, 692) for p in "abc"}
+        | {f"{kind}@692.{p}:692-675" for kind in ("p_flow", "q_flow", "current") for p in "abc"},
+        "P and Q injection at bus 675.a, 675.b, 675.c",
+    ),
+}
+
+
+@pytest.mark.parametrize("out", UNMETERED)
+def test_areas_name_the_phases_of_buses_that_the_centre_names_with_a_cure(out: str) -> None:
+    network, (ids, cure) = make_feeder(), UNMETERED[out]
+    readings = [m for m in read_meters(network, 2, 0.0, is_rich=True) if m.meter.id not in ids]
+    with pytest.raises(NotObservableError) as caught:
+        process_bad_data(network, readings)
     rounds = run_rounds(build_partition(network, DEEP), readings)
     assert rounds.verdicts[-1] == "final unobservable"
-    named = {name for side in rounds.estimations.values() for name in side.totals().unobservable}
-    assert named == {"646.b", "646.c"}
-    with pytest.raises(NotObservableError, match=r"the state of bus 646\.b, 646\.c;"):
-        process_bad_data(network, readings)
+    named = add_totals([side.totals() for side in rounds.estimations.values()]).unobservable
+    assert sorted(named) == sorted(map(str, caught.value.buses))
+    assert cure in caught.value.cures
+
+
+RANDOM_SIGMA = 1e-9  # p.u. and rad: of voltages that exact readings determine, which areas hold with EXACT_SIGMA
+
+
+@pytest.mark.parametrize("seed", [0, 1, *further(*range(2, 300))])
+def test_areas_of_random_feeders_of_mixed_phases_go_the_centres_way(seed: int) -> None:
+    """With legs between phases, banks, regulators, totals and currents, sigmas over up to three decades."""
+    rng = np.random.default_rng(seed)
+    network, areas = make_random_feeder(rng)
+    readings = read_random_meters(rng, network, float(rng.choice([0, 1, 3])))
+    assert_goes_the_centres_way(build_partition(network, areas), readings, least=RANDOM_SIGMA)
+
+
+@pytest.mark.parametrize("seed", [1000, *further(*range(1001, 1100))])
+def test_areas_of_random_feeders_take_out_what_the_centre_takes_out(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    network, areas = make_random_feeder(rng)
+    readings = make_wrong(rng, read_random_meters(rng, network, 0.5))
+    partition, report = build_partition(network, areas), process_bad_data(network, readings)
+    assert_is_the_centres(run_rounds(partition, readings), partition, report, least=RANDOM_SIGMA)
 
 
 @pytest.mark.parametrize("gone", ["two", "west", "one"])
