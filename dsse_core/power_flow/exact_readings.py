@@ -40,4 +40,4 @@ def read_exactly(power_flow: PowerFlowResult, meters: Sequence[Meter]) -> tuple[
             exact[here] = s[here].real if name in (KIND.P_INJECTION, KIND.P_FLOW) else s[here].imag
     is_power = np.array([name.has_total and not name.is_virtual for name in KINDS])[kind]
     s, exact = average(np.where(is_power, s, exact), of_meter), average(exact, of_meter)
-    return exact, abs(s)
+    return exact, np.hypot(s.real, s.imag)  # abs(s) differs by a bit

@@ -60,6 +60,15 @@ def test_the_noise_of_a_meter_does_not_depend_on_the_other_meters() -> None:
     assert all(everything[meter_id] == measurement for meter_id, measurement in fewer.items())
 
 
+def test_a_relative_sigma_refers_to_the_hypotenuse_of_p_and_q_to_the_bit() -> None:
+    scenario = load_scenario("ieee33")
+    own = readings(silent(scenario))
+    for branch in scenario.network.active_branches:
+        p, q = (own[f"{kind}@{branch.from_bus}:{branch.id}"] for kind in ("p_flow", "q_flow"))
+        expected = max(0.01 * float(np.hypot(p.value, q.value)), scenario.sigma_rule.floor)
+        assert p.sigma == q.sigma == expected
+
+
 def test_the_noise_is_standard_normal_in_units_of_sigma() -> None:
     """120 scans of all meters: mean, spread and 2-sigma tails within four standard errors."""
     scenario = load_scenario("industrial13")
