@@ -129,6 +129,24 @@ def test_areas_in_pieces_meet_at_buses_with_legs_between_phases(monkeypatch: pyt
         assert_goes_the_centres_way(build_partition(network, DEEP), readings)
 
 
+@pytest.mark.parametrize("size", [6, *further(1, 20)])
+def test_areas_in_pieces_name_the_buses_that_no_meter_determines_as_dense_ones_do(
+    size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network = grow_feeder(3, 60)
+    partition, lost = build_partition(network, cut_feeder(network, 20)), {b.id for b in network.buses[-2:]}
+    readings = [m for m in read_feeder(network, 3) if m.meter.bus not in lost and m.meter.branch is None]
+    found = []
+    for smallest in (10**9, 0):
+        monkeypatch.setattr(pieces, "PIECE", size)
+        monkeypatch.setattr(choose, "PIECES_FROM", smallest)
+        rounds = run_rounds(partition, readings)
+        assert rounds.verdicts[-1] == "final unobservable"
+        found.append({name: side.unobservable for name, side in rounds.estimations.items()})
+    assert found[0] == found[1]
+    assert lost <= {bus for buses in found[1].values() for bus in buses}
+
+
 def test_the_division_of_a_tree_has_pieces_of_the_size_asked_for_and_none_above_a_piece_below_it() -> None:
     network = grow_feeder(1, 300)
     table = network.table
