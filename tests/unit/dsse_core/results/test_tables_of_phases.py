@@ -26,6 +26,8 @@ from dsse_core.results.results import results_of_estimate, results_of_power_flow
 from dsse_core.results.scans import make_scan_table, name_lowest
 from dsse_core.results.state import AreaVoltages, find_state, join_states, read_state
 from dsse_core.results.totals import division_of, find_totals
+from tests.support.ieee_feeders import load_feeder
+from tests.support.ieee_feeders.placing import place_meters
 from tests.support.phases import DEEP, KIND, TIE, make_feeder, read_meters, solve
 from tests.unit.dsse_core.results.test_deviations import dense_covariance
 
@@ -179,14 +181,23 @@ def assert_dense(result: EstimationResult) -> None:
                 at_ends[end][k, here] = H
     for k in (0, 1):
         check(found.branches[6 + k], at_ends[0][k] + at_ends[1][k], "losses")
-    loss = (at_ends[0] + at_ends[1]).sum(axis=1)
+    loss, n = (at_ends[0] + at_ends[1]).sum(axis=1), network.n_nodes
+    for k, of_shunt in enumerate((np.real, np.imag)):
+        loss[k, n:] += 2 * of_shunt(network.table.shunt.conj()[network.table.nodes.item]) * result.vm
     check(found.totals[:, 2, 0], loss, "total loss")
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_standard_deviations_are_those_of_dense_linear_algebra(feeder: Network, seed: int) -> None:
-    for is_rich in (False, True):
-        assert_dense(estimate_state(feeder, read_meters(feeder, seed, 1.0, is_rich=is_rich)))
+    buses = tuple(replace(bus, b_shunt=0.02, g_shunt=0.01) if bus.id == 675 else bus for bus in feeder.buses)
+    for network, is_rich in ((feeder, False), (replace(feeder, buses=buses), True)):
+        assert_dense(estimate_state(network, read_meters(network, seed, 1.0, is_rich=is_rich)))
+
+
+@pytest.mark.parametrize("name", ["ieee13", "4bus-yd"])
+def test_standard_deviations_of_feeders_with_capacitors_and_delta_windings_are_dense_ones(name: str) -> None:
+    network = load_feeder(name)
+    assert_dense(estimate_state(network, place_meters(network, 1, None, is_rich=False)))
 
 
 def test_a_conductor_without_one_of_its_ends_is_empty_there_and_losses_add_up(feeder: Network) -> None:
