@@ -44,7 +44,7 @@ class Injections:
     def pairs(self) -> np.ndarray:
         """The pairs of nodes with legs between them, each once, the one with the lower row first, (2, n_pair)."""
         between = self._ends[:, self._ends[1] != GROUND]
-        pairs: np.ndarray = np.unique(np.sort(between, axis=0), axis=1)
+        pairs: np.ndarray = np.unique(np.sort(between, axis=0), axis=1) if between.size else between
         return pairs
 
     @cached_property
@@ -76,11 +76,14 @@ class Injections:
         item, n = self.network.table.nodes.item, len(self.network.table.bus_id)
         to_ground = item[self._ends[0, self._ends[1] == GROUND]], item[self.is_fed]
         drawn = np.bincount(item[self.pairs[0]], minlength=n) > 0
-        drawn[np.concatenate(to_ground)] = False
+        for buses in to_ground:
+            drawn[buses] = False
         return drawn
 
     def list_by_leg(self, is_bound: np.ndarray) -> np.ndarray:
         """Those of ``legs`` at the buses of ``is_bound`` (n_bus,) where they are all pairs, (2, n)."""
+        if not is_bound.any():
+            return self.pairs[:, :0]
         item, n = self.network.table.nodes.item, len(is_bound)
         at_bus = item[self.legs[0]]
         is_whole = np.bincount(item[self.pairs[0]], minlength=n) == np.bincount(at_bus, minlength=n)

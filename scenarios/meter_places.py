@@ -29,6 +29,9 @@ class Spots:
 
 def join_spots(parts: Sequence[Spots]) -> Spots:
     """The spots of all ``parts``, one after the other."""
+    parts = [part for part in parts if len(part.row)] or parts[:1]
+    if len(parts) == 1:
+        return parts[0]
     return Spots(np.concatenate([part.row for part in parts]), np.concatenate([part.phases for part in parts], axis=1))
 
 
@@ -79,8 +82,8 @@ class Sites:
     def find_named(self, listed: Sequence[Place] | None) -> Spots:
         """The spots of the places that are listed with their phases."""
         named = [self._find_spot(place) for place in dict.fromkeys(listed or ()) if place not in self.row_of]
-        row, *phases = np.array([spot for spot in named if spot], dtype=np.int64).reshape(-1, 3).T
-        return Spots(row, np.stack(phases))
+        spots: np.ndarray = np.array([spot for spot in named if spot], dtype=np.int64).reshape(-1, 3).T
+        return Spots(spots[0], spots[1:])
 
     def _find_spot(self, place: Place) -> tuple[int, int, int] | None:
         """Row and phases of the spot of a ``place``; None where it is not there."""
@@ -97,8 +100,8 @@ class Sites:
             phases = self.rows.phase[self.rows.at(row)].tolist()
             following = phases[1:] + (phases[:1] if len(phases) > 2 else [])
             pairs += [(row, one, other) for one, other in zip(phases, following, strict=False)]
-        row, *both = np.array(pairs, dtype=np.int64).reshape(-1, 3).T
-        return Spots(row, np.stack(both))
+        spots: np.ndarray = np.array(pairs, dtype=np.int64).reshape(-1, 3).T
+        return Spots(spots[0], spots[1:])
 
     def spots_of(self, rows: np.ndarray) -> Spots:
         """The spots at nodes or ports ``rows``."""

@@ -166,7 +166,7 @@ class _Places:
         groups += [_Group(INJECTIONS, self._find_injections())]
         groups += [_Group(INJECTIONS, self.buses.spots_of(self.virtual), source=Source.VIRTUAL)]
         groups += [_Group(SUM_OF_CURRENTS, make_totals(np.flatnonzero(self.ungrounded)), source=Source.VIRTUAL)]
-        columns = zip(*(group.columns(self.network) for group in groups), strict=True)
+        columns = zip(*(g.columns(self.network) for g in groups if len(g.spots.row) or g is groups[0]), strict=True)
         kind, bus, branch, source, phases = (np.concatenate(column, axis=-1) for column in columns)
         return make_meters(self.network, kind, bus, branch, source, phases)
 
