@@ -19,10 +19,12 @@ from benchmarks.measuring.figures import figures_option, write_section  # noqa: 
 from benchmarks.measuring.machine import describe_machine  # noqa: E402
 from benchmarks.measuring.report import format_draws, format_estimates, format_ratios, write_report  # noqa: E402
 from benchmarks.methods.compared import OURS, OURS_WITH_RESIDUALS, PEERS  # noqa: E402
+from benchmarks.phases import compare_phases, find_missed, format_phases  # noqa: E402
 from dsse_core.errors import InvalidInputError  # noqa: E402
 
 ALL_SETS = (*SETS, *(name + SHARP for name in SETS))
 SMALLEST = 3
+SIZES_OF_PHASES = [10, 100, 1000]
 ENVIRONMENT = ("numpy", "scipy", "numba", "cvxopt")
 
 
@@ -51,6 +53,7 @@ def _parse_sets(_context: click.Context, _option: click.Parameter, text: str) ->
 @click.option("--peers/--no-peers", default=True, help="Without peers: ours alone, which leaves it time for all draws.")
 @click.option("--limit-s", type=click.FloatRange(1), default=600.0, help="Seconds for a case with one method.")
 @click.option("--limit-gib", type=click.FloatRange(1), default=8.0, help="Memory for a case with one method.")
+@click.option("--phases", type=click.Choice(["1", "3"]), default="1", help="3: unbalanced, beside power-grid-model.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/benchmarks"))
 @figures_option
 def main(
@@ -62,6 +65,7 @@ def main(
     peers: bool,
     limit_s: float,
     limit_gib: float,
+    phases: str,
     out: Path,
     figures: str | None,
 ) -> None:
@@ -69,6 +73,12 @@ def main(
 
     Writes results.md, results.json and times.png. Exits with 1 if an estimate of ours is missing or is not the minimum.
     """
+    if phases == "3":
+        of_phases = compare_phases(sizes or SIZES_OF_PHASES, _report)
+        click.echo(format_phases(of_phases))
+        if missed := find_missed(of_phases):
+            raise click.ClickException("; ".join(missed))
+        return
     sizes = sizes or ([33, 1000] if reduced else [33, 1000, 10000])
     runs = runs or (3 if reduced else 15)
     draws = (8 if reduced else 256) if draws is None else draws
