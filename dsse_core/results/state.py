@@ -100,11 +100,13 @@ def read_state(state: GridState, meters: Sequence[Meter]) -> np.ndarray:
     if other is not None and (between := other >= 0).any():
         v = state.vm * np.exp(1j * state.va)
         u = v[node] - np.where(between, v[other], 0.0)
-        s = np.where(between, s * u / v[node], s)  # the same current
+        with np.errstate(invalid="ignore"):  # what is unknown stays so
+            s = np.where(between, s * u / v[node], s)  # the same current
         vm, va = np.where(between, abs(u), vm), np.where(between, np.angle(u), va)
     groups = (KIND.VM,), (KIND.VA,), (KIND.CURRENT,), (KIND.Q_FLOW, KIND.Q_INJECTION), (KIND.I_REAL,), (KIND.I_IMAG,)
     chosen = [np.isin(table.kind, [KINDS.index(kind) for kind in group]) for group in groups]
-    entering = (s / (vm * np.exp(1j * va))).conj() if any(of.any() for of in chosen[-2:]) else i
+    with np.errstate(invalid="ignore"):
+        entering = (s / (vm * np.exp(1j * va))).conj() if any(of.any() for of in chosen[-2:]) else i
     numbers = [vm, np.pi - (np.pi - va) % (2 * np.pi), abs(i), s.imag, entering.real, entering.imag]
     read = np.select(chosen, numbers, s.real)
     return average(read, of_meter)

@@ -232,6 +232,16 @@ def test_areas_join_to_the_state_of_the_whole_network_and_their_totals_balance()
     np.testing.assert_array_equal(unknown, sorted([*network.nodes_at(671), *network.nodes_at(684)]))
 
 
+def test_meters_between_phases_of_an_area_without_estimate_read_nothing_known() -> None:
+    network = make_feeder()
+    partition, (va, vm) = build_partition(network, DEEP), np.split(solve(network), 2)
+    rows = partition.rows_of_nodes["head"]
+    joined = join_states(partition, {"head": AreaVoltages(vm[rows], va[rows], True, 7)})
+    known = Meter(KIND.VM, 632, phases="ab")
+    unknown = [Meter(KIND.P_INJECTION, 646, phases="bc"), Meter(KIND.I_REAL, 646), Meter(KIND.VM, 646, phases="bc")]
+    np.testing.assert_array_equal(np.isnan(read_state(joined, [known, *unknown])), [False, True, True, True])
+
+
 def test_a_short_line_has_the_deviations_of_dense_algebra(feeder: Network) -> None:
     """Branches a thousand times shorter than the others: their losses are a difference of nearly equal powers."""
     short = [
