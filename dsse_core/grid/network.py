@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
@@ -309,7 +309,8 @@ class Network:
         return ZERO_LINE if branch.primitive and branch.primitive.is_straight else ZERO_IMPEDANCE
 
     def find_supply_problems(self) -> list[str]:
-        """Problems of supply, as text: no substation, or buses or phases that no path in service joins to it."""
+        """Problems of supply, as text: no substation, or buses or phases that no path in service joins to it;
+        else loads and sources to ground where there is none."""
         if self.slack is None:
             return ["the network has no slack bus (substation); give it one source of kind 'slack'"]
         problems = []
@@ -319,7 +320,21 @@ class Network:
         if phases := self.find_unreached_phases(self.slack.bus):
             path = f"no path of branches in service joins {listed(phases)} to the substation"
             problems.append(f"{path}; feed the phase, or leave it out of the bus")
-        return problems
+        return problems or list(self.find_ungrounded_supply())
+
+    def find_ungrounded_supply(self, further: Iterable[int] = ()) -> Iterator[str]:
+        """Loads and sources from a phase to ground in parts without ground, as text.
+
+        ``further``: buses with loads to ground beside those of the network.
+        """
+        if self.table.nodes.is_balanced:
+            return
+        supplied = [(load.bus, f"the load {load.bus}.{load.phases}") for load in self.loads if load.phases in PHASES]
+        supplied += [(g.bus, f"the generator at bus {g.bus}") for g in self.generators if g.control is Control.POWER]
+        supplied += [(bus, f"the extra load at bus {bus}") for bus in further]
+        for bus, called in supplied:
+            if bus in self.gauge.ungrounded:
+                yield f"{called} stands between phase and ground in a part without ground; use a leg between two phases"
 
 
 def _duplicates(items: Iterable[object]) -> list[object]:

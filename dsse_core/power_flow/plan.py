@@ -19,7 +19,6 @@ from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.grid.measurement_model import MeasurementModel, build_model_of_rows
 from dsse_core.grid.meter_table import KINDS
 from dsse_core.grid.network import Control, Network
-from dsse_core.grid.nodes import PHASES
 from dsse_core.power_flow.current_sweeps import CurrentSweeps
 from dsse_core.power_flow.path_sums import TreePaths, lay_out_paths
 from dsse_core.printable import listed
@@ -218,12 +217,7 @@ def _find_problems_of_phases(network: Network, slack_bus: int, to_ground: Iterab
     for generator in network.generators:
         if generator.control is Control.VOLTAGE and generator.bus != slack_bus:
             yield f"a generator holds the voltage of bus {generator.bus}, which has phases; give it its P and Q"
-    supplied = [(load.bus, f"the load {load.bus}.{load.phases}") for load in network.loads if load.phases in PHASES]
-    supplied += [(g.bus, f"the generator at bus {g.bus}") for g in network.generators if g.control is Control.POWER]
-    supplied += [(bus, f"the extra load at bus {bus}") for bus in to_ground]
-    for bus, called in supplied:
-        if bus in network.gauge.ungrounded:
-            yield f"{called} stands between phase and ground in a part without ground; use a leg between two phases"
+    yield from network.find_ungrounded_supply(to_ground)
 
 
 def _slack_of(network: Network, slack: tuple[int, float] | None) -> tuple[int, float, float]:

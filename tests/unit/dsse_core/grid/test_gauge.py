@@ -97,6 +97,9 @@ def test_powers_to_ground_in_a_part_without_ground_are_refused_all_at_once() -> 
         solve_power_flow(network, extra_load={3: 0.1})
     for called in ("the load 4.b", "the generator at bus 5", "the extra load at bus 3"):
         assert f"{called} stands between phase and ground in a part without ground" in str(refused.value)
+    load, generator = network.find_supply_problems()  # without a power flow, as `dsse check`
+    assert load.startswith("the load 4.b stands")
+    assert generator.startswith("the generator at bus 5 stands")
 
 
 def test_areas_know_the_gauge_of_the_whole_and_one_of_them_has_the_shunt() -> None:
