@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dsse_core.grid.loads import Load
-from dsse_core.grid.nodes import Primitive, explain_phases, list_phases, read_phases
+from dsse_core.grid.nodes import PHASE_ANGLE, PHASES, Primitive, explain_phases, list_phases, read_phases
 from dsse_core.grid.physical_ranges import (
     ADMITTANCE,
     BASE_POWER,
@@ -210,7 +210,8 @@ def _fill(rows: Matrix, n: int, of: str, key: str, place: _Place) -> np.ndarray:
     matrix = np.zeros((n, n))
     if (found := [len(row) for row in rows]) != [*range(1, n + 1)]:
         wanted = ", ".join(map(str, range(1, n + 1)))
-        problem = f"its rows have {', '.join(map(str, found))} numbers; the lower triangle of {of} has rows of {wanted}"
+        has = ", ".join(map(str, found)) or "no"
+        problem = f"its rows have {has} numbers; the lower triangle of {of} has rows of {wanted}"
         place.refuse(key, problem)
         return matrix
     matrix[np.tril_indices(n)] = [entry for row in rows for entry in row]
@@ -308,7 +309,7 @@ def _read_legs(table: LoadTable, place: _Place) -> list[Load]:
         place.refuse("bus", f"bus {table.bus} is not defined")
     elif not there:
         place.refuse("bus", f"bus {table.bus} has no phases; give the bus its phases")
-    else:
+    elif known:  # else the phases of the bus are refused
         for leg in legs:
             ends = list_phases(leg) if leg else []
             if len(ends) not in (1, 2) or len({*ends}) < len(ends):
@@ -331,11 +332,17 @@ def _read_legs(table: LoadTable, place: _Place) -> list[Load]:
     of_p, of_q = table.exponents
     loads = []
     for leg, p, q in zip(legs, *powers, strict=True):
-        nominal = place.kv[table.bus] / (math.sqrt(3) if len(list_phases(leg)) == 1 else 1.0)
+        nominal = place.kv[table.bus] / math.sqrt(3) * _find_nominal_across(leg)
         share = 1.0 if table.kv is None else nominal / table.kv
         s = complex(p * share**of_p, q * share**of_q) / 1000 / (place.base_mva / 3)
         loads.append(Load(table.bus, leg, s, (of_p, of_q)))
     return loads
+
+
+def _find_nominal_across(leg: str) -> float:
+    """The nominal voltage across a leg by that of a phase to ground: 3^0.5 between two of a, b, c, 2 of s1 and s2."""
+    ends = np.exp(1j * PHASE_ANGLE[[PHASES.index(phase) for phase in list_phases(leg)]])
+    return float(abs(ends[0] - ends[1])) if len(ends) == 2 else 1.0
 
 
 def _shared(place: _Place, *buses: int) -> str:

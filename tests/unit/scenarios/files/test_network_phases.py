@@ -161,6 +161,24 @@ def test_windings_may_stand_anywhere(tmp_path: Path) -> None:
     assert bank.y @ [a, b, 0, -(3**0.5) * a, -(3**0.5) * (a + b)] == pytest.approx(np.zeros(5), abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("leg", "kv"), [("ab", 0.208), ("b", 0.208 / 3**0.5), ("s1", 0.208 / 3**0.5), ("s1s2", 0.416 / 3**0.5)]
+)
+def test_a_load_rated_at_the_nominal_voltage_across_it_draws_what_one_without_rating_draws(
+    tmp_path: Path, leg: str, kv: float
+) -> None:
+    phases = "s1s2" if "s" in leg else "abc"
+    bus = f'{{ id = 5, base_kv = 0.208, phases = "{phases}" }}, ]'
+    loads = (
+        f'{{ bus = 5, phases = "{leg}", p_kw = [8.0], exponents = [2.0, 1.0]{rated} }},'
+        for rated in ("", f", kv = {kv}")
+    )
+    by_both = [
+        load(tmp_path, changed(("]\nbranch", f"{bus}\nbranch"), ("load = [", f"load = [ {one}"))) for one in loads
+    ]
+    assert by_both[1].loads[0].s == pytest.approx(by_both[0].loads[0].s, rel=1e-12)
+
+
 def test_centre_tapped_units_feed_two_halves(tmp_path: Path) -> None:
     house = '{ id = 5, base_kv = 0.208, phases = "s1s2" }, ]'
     unit = """[[transformer]]
