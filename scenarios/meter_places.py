@@ -63,7 +63,7 @@ class Sites:
         site, _, phases = place.rpartition(".")
         if self.word == "bus":
             return int(site), phases
-        return (site, phases) if site in self.row_of else (place, EACH)
+        return (site, phases) if phases and site in self.row_of else (place, EACH)
 
     def find(self, listed: Sequence[Place] | None) -> Spots:
         """The spots of the places that are there, each place once; of all sites where ``listed`` is None.

@@ -18,7 +18,7 @@ from dsse_core.grid.nodes import list_phases
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
 from scenarios.files.scenario_file import MeasurementsTable, SigmaTable
 from scenarios.injections import Injections
-from scenarios.meter_places import EACH, TOTAL, Place, Sites, Spots, join_spots, make_totals
+from scenarios.meter_places import TOTAL, Place, Sites, Spots, join_spots, make_totals
 
 KIND = MeasurementKind
 INJECTIONS = (KIND.P_INJECTION, KIND.Q_INJECTION)
@@ -289,14 +289,17 @@ def _quote(sites: Sites, place: Place) -> str:
 
 
 def _find_overlaps(sites: Sites, listed: Sequence[Place]) -> Iterator[str]:
-    """Places with phases beside the whole of their bus or branch."""
-    given = set(listed)
+    """Places with phases beside the whole of their bus or branch, and two phases beside the same in the other order."""
+    given: set[Place] = {place for place in listed if place in sites.row_of}
     for place in dict.fromkeys(listed):
         if place in sites.row_of:
             continue
-        site, phases = sites.read(place)
-        if phases not in (EACH, TOTAL) and len(list_phases(phases)) == 1 and site in given:
-            yield f"{sites.word} {_quote(sites, site)} is listed, and {place!r} as well; keep one"
+        site, text = sites.read(place)
+        phases = [] if text == TOTAL else list_phases(text)
+        again = f"{site}.{''.join(reversed(phases))}" if len(phases) > 1 else site if phases else None
+        if again != place and again in given:
+            yield f"{sites.word} {_quote(sites, again)} is listed, and {place!r} as well; keep one"
+        given.add(place)
 
 
 @dataclass(frozen=True)

@@ -114,7 +114,8 @@ def test_currents_of_loads_between_phases_sum_to_zero_and_a_load_that_can_be_tol
 def test_every_place_whose_phases_are_not_there_is_named_with_the_cure() -> None:
     keys = {
         "voltage": [99, "611.a", 671, "671.a", "671.total", "646.bcb"],
-        "flow": ["671-684.b", "632-670.ab", "632-999.a", "632-670.c"],
+        "flow": ["671-684.b", "632-670.ab", "632-999.a", "632-670.c", "632-670."],
+        "angle": ["646.cb", "646.bc", "646.b"],
         "current": ["632-670.total"],
         "injection": ["671.ab", "646.cb", "675.ab"],
         "zero_injection": ["645.b", "611.b", "680.ab"],
@@ -125,12 +126,15 @@ def test_every_place_whose_phases_are_not_there_is_named_with_the_cure() -> None
         "measurements.voltage.buses: '646.bcb': after the point name one phase, or two of b, c",
         "measurements.voltage.buses: '671.total': after the point name one phase, or two of a, b, c",
         "measurements.voltage.buses: bus 671 is listed, and '671.a' as well; keep one",
+        "measurements.angle.buses: bus 646.cb is listed, and '646.bc' as well; keep one",
         "measurements.injection.buses: '671.ab': other loads of bus 671 draw at a, and a meter reads the current "
         "there; meter each phase",
         "measurements.injection.buses: '675.ab': no load of bus 675 stands between a and b; name one phase",
         "measurements.zero_injection: '611.b': bus 611 has no phase b, only c",
         "measurements.zero_injection: bus 645.b has a load or a source in the network file; remove it here",
         "measurements.zero_injection: '680.ab': after the point name one phase of a, b, c",
+        "measurements.flow.branches: branch '632-670.' is not in network 'ieee13'; a branch is called FROM-TO unless "
+        "the network file gives it an id",
         "measurements.flow.branches: '632-670.ab': after the point name one phase of a, b, c, or 'total'",
         "measurements.flow.branches: branch '632-999.a' is not in network 'ieee13'; a branch is called FROM-TO unless "
         "the network file gives it an id",
