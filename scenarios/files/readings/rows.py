@@ -17,7 +17,7 @@ from dsse_core.grid.measurement import (
 )
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
-from scenarios.files.readings.units import RANGES, UNITS, power_bases, unit_size
+from scenarios.files.readings.units import RANGES, UNITS, size_of_range, unit_size
 
 KIND = MeasurementKind
 SCAN = "scan"
@@ -145,9 +145,8 @@ def _find_value_problems(meter: Meter, value: float, sigma: float, network: Netw
     if value < 0 and meter.kind in (KIND.VM, KIND.CURRENT):
         yield f"meter {meter.id}: the value is negative; a magnitude is not"
         return
-    limits, size = RANGES[meter.kind]
-    base = float(power_bases([meter], network)[0]) if size is None else size
-    yield from limits.find_problem(f"meter {meter.id}: the value", value * base)
+    limits, _ = RANGES[meter.kind]
+    yield from limits.find_problem(f"meter {meter.id}: the value", value * size_of_range(meter, network))
 
 
 def _number(cell: str) -> float | None:

@@ -66,6 +66,12 @@ def power_bases(meters: Sequence[Meter], network: Network) -> np.ndarray:
     return network.base_mva / 3 * tabulate_meters(network, meters).n_phases
 
 
+def size_of_range(meter: Meter, network: Network) -> float:
+    """Size of 1 p.u. or rad of ``meter``, which fits the network, in the unit of its limits in RANGES."""
+    _, size = RANGES[meter.kind]
+    return float(power_bases([meter], network)[0]) if size is None else size
+
+
 RANGES: Mapping[MeasurementKind, tuple[Range, float | None]] = {
     KIND.VM: (Range(0.0, VOLTAGE.most, VOLTAGE.unit), 1.0),  # a dead voltmeter reads 0
     KIND.VA: (ANGLE, math.degrees(1)),

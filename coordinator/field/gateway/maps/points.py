@@ -11,7 +11,7 @@ from coordinator.field.gateway.maps.map_tables import ReadingTable
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
-from scenarios.files.readings.units import RANGES, UNITS, unit_size
+from scenarios.files.readings.units import RANGES, UNITS, size_of_range, unit_size
 from scenarios.meters import SigmaRule
 from scenarios.scenario import Scenario
 
@@ -30,7 +30,7 @@ WRITTEN_AS: Mapping[str, tuple[str, float]] = {
     "A": ("a", 1.0),
     "deg": ("deg", 1.0),
 }
-"""Unit -> the unit of readings files that it is a part or a multiple of. Voltages are line to line."""
+"""Unit -> the unit of readings files that it is a part or a multiple of; voltages as there."""
 
 
 def units_of(kind: MeasurementKind) -> tuple[str, ...]:
@@ -49,8 +49,8 @@ def size_of(unit: str, meter: Meter, network: Network) -> float:
 
 def physical_range(meter: Meter, network: Network) -> tuple[float, float]:
     """The least and the largest value that a meter of this kind can read, p.u. or rad."""
-    limits, size = RANGES[meter.kind]
-    of_one = network.base_mva if size is None else size
+    limits, _ = RANGES[meter.kind]
+    of_one = size_of_range(meter, network)
     return limits.least / of_one, limits.most / of_one
 
 

@@ -9,7 +9,11 @@ from pathlib import Path
 import pytest
 
 from coordinator.field.gateway.maps.map_file import load_map
+from coordinator.field.gateway.maps.points import physical_range, size_of
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.measurement import Meter, read_meter_id
+from dsse_core.grid.physical_ranges import POWER
+from scenarios.scenario import load_scenario
 
 READING = '[[reading]]\naddress = "{}"\nmeter = "{}"\nunit = "{}"\n{}\n'
 
@@ -213,3 +217,11 @@ def test_a_meter_of_another_gateway_is_rejected(edited_scenario: Callable[..., P
     assert "1 problem" in text
     head = 'name = "south"\nscenario = "edited.toml"\n'
     assert "give run.scan_s there" in find_problems(write_map(*readings, head=head, is_edited=True))
+
+
+@pytest.mark.parametrize("meter_id", ["p_injection@671.a", "p_flow@632:632-670", "p_flow@632:632-670.b"])
+def test_a_meter_of_a_phase_or_of_a_total_reads_as_many_mw_as_any_other(meter_id: str) -> None:
+    network, meter = load_scenario("ieee13").network, read_meter_id(meter_id)
+    assert isinstance(meter, Meter)
+    limits = [limit / size_of("MW", meter, network) for limit in physical_range(meter, network)]
+    assert limits == pytest.approx([POWER.least, POWER.most])
