@@ -182,7 +182,7 @@ class _Places:
     def _at(self, key: str) -> Spots:
         """The spots of a key with buses, between phases at whole buses in parts without ground."""
         listed, table = self._listed(key), self.network.table
-        if table.nodes.is_balanced or not (ungrounded := self.network.gauge.ungrounded):
+        if not (ungrounded := self.network.gauge.ungrounded):
             return self.buses.find(listed)
         whole = self.buses.list_whole(listed)
         floats = np.isin(table.bus_id[whole], ungrounded)

@@ -278,10 +278,8 @@ class Network:
         island = self.table.island
         return tuple(self.table.bus_id[island != island[self.row[start]]].tolist())
 
-    def find_unreached_phases(self, start: int) -> tuple[str, ...]:
+    def _find_unreached_phases(self, start: int) -> tuple[str, ...]:
         """Phases that no path of conductors and windings in service joins to ``start``, of buses that one joins."""
-        if self.table.nodes.is_balanced:
-            return ()
         island, nodes, gone = self.table.node_island, self.table.nodes, set(self.find_unreached_buses(start))
         loose = np.flatnonzero(~np.isin(island, island[self.nodes_at(start)])).tolist()
         places = ((PHASES[nodes.phase[node]], self.node_buses[node]) for node in loose)
@@ -313,27 +311,28 @@ class Network:
         else loads and sources to ground where there is none."""
         if self.slack is None:
             return ["the network has no slack bus (substation); give it one source of kind 'slack'"]
-        problems = []
-        if unreached := self.find_unreached_buses(self.slack.bus):
-            names = ", ".join(map(str, unreached))
-            problems.append(f"no path of branches in service joins bus {names} to the substation")
-        if phases := self.find_unreached_phases(self.slack.bus):
-            path = f"no path of branches in service joins {listed(phases)} to the substation"
-            problems.append(f"{path}; feed the phase, or leave it out of the bus")
-        return problems or list(self.find_ungrounded_supply())
+        return list(self.find_unreached(self.slack.bus, "the substation")) or list(self.find_ungrounded_supply())
+
+    def find_unreached(self, start: int, called: str) -> Iterator[str]:
+        """Buses and phases that no path in service joins to bus ``start``, ``called`` so, as text."""
+        path = "no path of branches in service joins"
+        if buses := self.find_unreached_buses(start):
+            yield f"{path} bus {', '.join(map(str, buses))} to {called}"
+        if phases := self._find_unreached_phases(start):
+            yield f"{path} {listed(phases)} to {called}; feed the phase, or leave it out of the bus"
 
     def find_ungrounded_supply(self, further: Iterable[int] = ()) -> Iterator[str]:
         """Loads and sources from a phase to ground in parts without ground, as text.
 
         ``further``: buses with loads to ground beside those of the network.
         """
-        if self.table.nodes.is_balanced:
+        if not (ungrounded := self.gauge.ungrounded):
             return
         supplied = [(load.bus, f"the load {load.bus}.{load.phases}") for load in self.loads if load.phases in PHASES]
         supplied += [(g.bus, f"the generator at bus {g.bus}") for g in self.generators if g.control is Control.POWER]
         supplied += [(bus, f"the extra load at bus {bus}") for bus in further]
         for bus, called in supplied:
-            if bus in self.gauge.ungrounded:
+            if bus in ungrounded:
                 yield f"{called} stands between phase and ground in a part without ground; use a leg between two phases"
 
 

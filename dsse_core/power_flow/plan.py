@@ -21,7 +21,6 @@ from dsse_core.grid.meter_table import KINDS
 from dsse_core.grid.network import Control, Network
 from dsse_core.power_flow.current_sweeps import CurrentSweeps
 from dsse_core.power_flow.path_sums import TreePaths, lay_out_paths
-from dsse_core.printable import listed
 
 P, Q = MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION
 MethodChoice = Literal["auto", "sweep", "newton"]
@@ -195,11 +194,11 @@ def _find_problems(
 ) -> Iterator[str]:
     if slack_bus not in network.row:
         yield f"the slack bus {slack_bus} is not in the network"
-    elif unreached := network.find_unreached_buses(slack_bus):
-        names = ", ".join(map(str, unreached))
-        yield f"no path of branches in service joins bus {names} to the slack bus {slack_bus}"
+    else:
+        yield from network.find_unreached(slack_bus, f"the slack bus {slack_bus}")
     if not network.table.nodes.is_balanced:
-        yield from _find_problems_of_phases(network, slack_bus, extra_load)
+        yield from _find_voltage_problems(network, slack_bus)
+    yield from network.find_ungrounded_supply(extra_load)
     if not (math.isfinite(slack_vm) and slack_vm > 0):
         yield f"the slack voltage is {slack_vm}; it must be a positive number in p.u."
     for bus, load in extra_load.items():
@@ -209,15 +208,11 @@ def _find_problems(
             yield f"the extra load at bus {bus} is {load}, not a finite number"
 
 
-def _find_problems_of_phases(network: Network, slack_bus: int, to_ground: Iterable[int]) -> Iterator[str]:
-    """``to_ground``: buses with further loads from each phase to ground."""
-    if slack_bus in network.row and (phases := network.find_unreached_phases(slack_bus)):
-        path = f"no path of branches in service joins {listed(phases)} to the slack bus {slack_bus}"
-        yield f"{path}; feed the phase, or leave it out of the bus"
+def _find_voltage_problems(network: Network, slack_bus: int) -> Iterator[str]:
+    """Generators that hold the voltage of a bus with phases, as text."""
     for generator in network.generators:
         if generator.control is Control.VOLTAGE and generator.bus != slack_bus:
             yield f"a generator holds the voltage of bus {generator.bus}, which has phases; give it its P and Q"
-    yield from network.find_ungrounded_supply(to_ground)
 
 
 def _slack_of(network: Network, slack: tuple[int, float] | None) -> tuple[int, float, float]:
