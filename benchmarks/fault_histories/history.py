@@ -11,7 +11,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import repeat
 
 import numpy as np
 
@@ -212,14 +211,14 @@ def _distance(world: World, state: StateMessage) -> tuple[np.ndarray, np.ndarray
 def draw_meters(rng: np.random.Generator, network: Network) -> list[Meter]:
     """Meters of |V| at the substation and 40 % of the nodes, of flows on 60 % of the branches, of all injections."""
     assert network.slack is not None
-    slack, nodes = network.slack.bus, list(zip(network.node_buses, network.node_phases or repeat(""), strict=False))
-    meters = [Meter(KIND.VM, bus, phases=phase) for bus, phase in nodes if bus == slack or rng.random() < 0.4]
+    slack = network.slack.bus
+    meters = [Meter(KIND.VM, bus, phases=phase) for bus, phase in network.nodes if bus == slack or rng.random() < 0.4]
     for branch in network.active_branches:
         if rng.random() < 0.6:
             phases = list_phases(branch.primitive.from_phases if branch.primitive else "")
             of_ends = [(k, phase) for phase in phases for k in (KIND.P_FLOW, KIND.Q_FLOW)]
             meters += [Meter(k, branch.from_bus, branch.id, phases=phase) for k, phase in of_ends]
-    for (bus, phase), scheduled in zip(nodes, network.scheduled.tolist(), strict=True):
+    for (bus, phase), scheduled in zip(network.nodes, network.scheduled.tolist(), strict=True):
         source = Source.VIRTUAL if scheduled == 0 and bus != slack else Source.TELEMETERED
         meters += [Meter(k, bus, source=source, phases=phase) for k in (KIND.P_INJECTION, KIND.Q_INJECTION)]
     return meters

@@ -55,7 +55,7 @@ def measured_net_loads(area: Area, measurements: Sequence[Measurement]) -> dict[
     read = {(m.meter.kind, m.meter.bus, m.meter.phases): m for m in at_sources}
     loads = {}
     for node in (node for bus in buses for node in network.nodes_at(bus).tolist()):
-        bus, phase = network.node_buses[node], network.node_phases[node] if network.node_phases else ""
+        bus, phase = network.nodes[node]
         p, q = (
             read.get((kind, bus, phase), read.get((kind, bus, "")))
             for kind in (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)

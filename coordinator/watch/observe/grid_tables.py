@@ -13,6 +13,7 @@ import numpy as np
 from agents.messages.packing import ReadingsMessage, StateMessage
 from coordinator.watch.observe.area_flows import add_problems
 from coordinator.watch.observe.freshness import NOT_KNOWN, describe_freshness
+from coordinator.watch.observe.mismatch import find_mismatches
 from coordinator.watch.observe.view import View
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.grid.measurement import Meter, Source
@@ -300,12 +301,5 @@ def _agree_at(bus: int, one: StateMessage, other: StateMessage, most_vm: float, 
     """True where two areas state the same voltages of the phases of ``bus`` that both have, of angles that count from
     the substation in both.
     """
-    both = one.referenced and other.referenced
-    for phase in one.phases_at(bus):
-        if phase in other.phases_at(bus):
-            i, j = one.row_of(bus, phase), other.row_of(bus, phase)
-            if abs(one.vm[i] - other.vm[j]) > most_vm:
-                return False
-            if both and abs(math.remainder(one.va[i] - other.va[j], 2 * math.pi)) > most_va:
-                return False
-    return True
+    both, differences = one.referenced and other.referenced, find_mismatches([bus], one, other).values()
+    return all(vm <= most_vm and (va <= most_va or not both) for vm, va in differences)

@@ -14,17 +14,15 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-
-import numpy as np
 
 from agents.messages.keys import live_key
 from agents.messages.packing import NO_INCARNATION, StateMessage
 from agents.peers.freshness import PATIENCE_HEARTBEATS
 from agents.protocol.quality import GOOD, NONE, STALE, UNOBSERVABLE, Assessment, assess_from_outside
+from coordinator.watch.observe.mismatch import find_mismatches
 from coordinator.watch.observe.watcher import Watcher, count_exchanges
-from dsse_core.grid.columns import read_ids
 from dsse_core.grid.nodes import name_node
 from dsse_core.grid.partition import Partition
 from dsse_core.printable import printable
@@ -146,9 +144,7 @@ class Observer:
         own = self._networks[state.header.sender]
         if not state.buses:
             return True
-        if state.phases or own.node_phases:
-            return set(state.nodes) == set(zip(own.node_buses, own.node_phases, strict=False))
-        return np.array_equal(np.sort(read_ids(state.buses)), np.sort(own.table.bus_id))
+        return set(state.nodes) == set(own.nodes)
 
     def take_presence(self, area: str, alive: bool, now: float) -> bool:
         """Note that an area's token appeared or vanished; True where this is a change."""
@@ -299,26 +295,18 @@ class Observer:
     def _find_disagreements(self, bus: int, names: list[str]) -> list[str]:
         found = []
         for other in names[1:]:
-            for phase, (vm, va) in self.mismatches_at(bus, names[0], other).items():
-                place = f"at bus {name_node(bus, phase)}"
+            for node, (vm, va) in self.find_mismatches([bus], names[0], other).items():
+                place = f"at bus {name_node(*node)}"
                 if va > self.tolerance_va:
                     found.append(f"{names[0]} and {other} differ by {math.degrees(va):.3g} deg {place}")
                 if self.compare_magnitudes and vm > self.tolerance_vm:
                     found.append(f"{names[0]} and {other} differ by {vm:.3g} p.u. {place}")
         return found
 
-    def mismatches_at(self, bus: int, one: str, other: str) -> dict[str, tuple[float, float]]:
-        """Phase -> differences of magnitude and (wrapped) angle that two areas publish for ``bus``, p.u. and rad."""
+    def find_mismatches(self, buses: Iterable[int], one: str, other: str) -> dict[tuple[int, str], tuple[float, float]]:
+        """Differences of two areas at ``buses``, see ``mismatch.py``; none while one of them has no state."""
         ours, theirs = self.watcher.state_of(one), self.watcher.state_of(other)
-        found: dict[str, tuple[float, float]] = {}
-        if ours is None or theirs is None:
-            return found
-        for phase in ours.phases_at(bus):
-            if phase in theirs.phases_at(bus):
-                i, j = ours.row_of(bus, phase), theirs.row_of(bus, phase)
-                va = math.remainder(ours.va[i] - theirs.va[j], 2 * math.pi)
-                found[phase] = abs(ours.vm[i] - theirs.vm[j]), abs(va)
-        return found
+        return {} if ours is None or theirs is None else find_mismatches(buses, ours, theirs)
 
     def _find_unacknowledged(self) -> list[str]:
         """Sentences on messages that are not received yet or not sent, between areas that are on the bus."""

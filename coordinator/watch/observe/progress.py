@@ -75,11 +75,10 @@ def _find_mismatches(observer: Observer, name: str, own: StateMessage) -> list[t
         theirs = observer.watcher.state_of(other)
         if theirs is None or not theirs.buses:
             continue
-        for bus in boundary.buses:
-            is_of_scan = theirs.header.scan == own.header.scan
-            is_referenced = own.referenced and theirs.referenced
-            for vm, va in observer.mismatches_at(bus, name, other).values():
-                found.append((vm if is_of_scan else None, va if is_of_scan and is_referenced else None))
+        is_of_scan = theirs.header.scan == own.header.scan
+        is_referenced = own.referenced and theirs.referenced
+        for vm, va in observer.find_mismatches(boundary.buses, name, other).values():
+            found.append((vm if is_of_scan else None, va if is_of_scan and is_referenced else None))
     return found
 
 

@@ -16,6 +16,7 @@ from agents.peers.freshness import is_old
 from agents.protocol.quality import assess_from_outside
 from agents.runtime.presence import MAX_NAMES, Presence
 from coordinator.watch.observe.duplicates import NOUNS, describe_duplicate
+from coordinator.watch.observe.mismatch import find_mismatches
 from coordinator.watch.observe.notes import Noted, read_notes
 from coordinator.watch.observe.view import OVER_S, AreaView, Extreme, Meeting, View
 from dsse_core.grid.nodes import name_node
@@ -324,14 +325,12 @@ class Watcher:
         buses = tuple(sorted(set(state.buses) & set(theirs.buses))) if theirs else ()
         if theirs is None or not buses:
             return None
-        nodes = [(bus, phase) for bus in buses for phase in state.phases_at(bus) if phase in theirs.phases_at(bus)]
-        if theirs.header.scan != state.header.scan or not nodes:
+        differences = find_mismatches(buses, state, theirs)
+        if theirs.header.scan != state.header.scan or not differences:
             return Meeting(buses, str(buses[0]))
-        pairs = [(state.row_of(*node), theirs.row_of(*node)) for node in nodes]
-        vm = [abs(state.vm[i] - theirs.vm[j]) for i, j in pairs]
+        nodes, (vm, va) = list(differences), zip(*differences.values(), strict=True)
         if not (state.referenced and theirs.referenced):
             return Meeting(buses, name_node(*nodes[vm.index(max(vm))]), max(vm))
-        va = [abs(math.remainder(state.va[i] - theirs.va[j], 2 * math.pi)) for i, j in pairs]
         larger = vm if max(vm) >= max(va) else va
         return Meeting(buses, name_node(*nodes[larger.index(max(larger))]), max(vm), max(va))
 
