@@ -287,12 +287,15 @@ def _load_readings_of(file: ScenarioFile, path: Path, network: Network) -> tuple
 def find_virtual_problems(
     key: str, network: Network, meters: Sequence[Meter], virtual: Sequence[Meter]
 ) -> Iterator[str]:
-    """Every injection meter with a reading, of the file that ``key`` gives, at a node that injects exactly nothing.
+    """Every injection meter with a reading, of the file that ``key`` gives, where nodes inject exactly nothing: at one,
+    or of all of a bus.
 
     ``virtual``: meters, the virtual ones of the scenario among them.
     """
-    nodes, known = _find_metered_nodes(network, meters), _find_metered_nodes(network, virtual)
+    (nodes, of_meter), (known, _) = _find_metered_nodes(network, meters), _find_metered_nodes(network, virtual)
     wrong = (nodes >= 0) & np.isin(nodes, known)
+    if of_meter is not None:
+        wrong = np.bincount(of_meter, ~wrong) == 0
     for meter in take_items(meters, np.flatnonzero(wrong)):
         yield (
             f"{key}: {meter.id} has a reading, but measurements.zero_injection says that bus {meter.at} injects "
@@ -300,10 +303,10 @@ def find_virtual_problems(
         )
 
 
-def _find_metered_nodes(network: Network, meters: Sequence[Meter]) -> np.ndarray:
-    """The node whose injection each of ``meters`` reads, (n_meas,); -1 of all others, and of totals of several."""
-    powers, table = [KINDS.index(kind) for kind in INJECTIONS], tabulate_meters(network, meters)
-    return np.where(np.isin(table.kind, powers) & (table.n_phases == 1), table.node, -1)
+def _find_metered_nodes(network: Network, meters: Sequence[Meter]) -> tuple[np.ndarray, np.ndarray | None]:
+    """The nodes whose injections ``meters`` read, (n_row,), -1 of others; and the meter of each, as of ``spread``."""
+    powers, (table, of_meter) = [KINDS.index(kind) for kind in INJECTIONS], tabulate_meters(network, meters).spread()
+    return np.where(np.isin(table.kind, powers), table.node, -1), of_meter
 
 
 def _build_meters_of(

@@ -270,11 +270,13 @@ def test_a_sum_over_elements_of_several_branches_is_no_place(place: str) -> None
     assert problem.startswith(f"measurements.flow.branches: branch {place!r} is not in network 'ieee13'")
 
 
-def test_a_reading_of_a_phase_that_injects_exactly_nothing_is_refused_by_its_node(tmp_path: Path) -> None:
+def test_a_reading_of_phases_that_inject_exactly_nothing_is_refused_by_node_or_bus(tmp_path: Path) -> None:
     readings, scenario = tmp_path / "readings.csv", tmp_path / "scenario.toml"
-    readings.write_text("meter,value_kw,sigma_kw\np_injection@645.c,0,1\np_injection@645.b,-170,2\n")
+    totals = "p_injection@680,5,1\np_injection@645,-170,2\n"  # of bus 680 nothing has a load, of 645 one phase
+    readings.write_text(f"meter,value_kw,sigma_kw\np_injection@645.c,0,1\np_injection@645.b,-170,2\n{totals}")
     text = 'version = 1\ndescription = "readings"\nnetwork = "ieee13"\nareas = { count = 2 }\n'
     scenario.write_text(f'{text}[telemetry]\nsource = "file"\nfile = "readings.csv"\n')
     with pytest.raises(InvalidInputError, match=r"says that bus 645\.c injects exactly nothing") as caught:
         load_scenario(scenario)
-    assert len(caught.value.problems) == 1
+    assert len(caught.value.problems) == 2
+    assert "p_injection@680 has a reading, but" in caught.value.problems[1]
