@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 
-CARRIED = 1e-4  # share of a branch's admittances, below which what it draws is charging, or rounding
+CARRIED = 1e-4  # share of a branch's admittances, below which one is charging, or rounding
 
 
 @dataclass(frozen=True)
@@ -191,11 +191,9 @@ class NetworkTable:
 def _find_joined_ports(primitive: Primitive) -> tuple[np.ndarray, np.ndarray]:
     """The pairs of ports of a branch that its conductors or windings join."""
     y = primitive.y - primitive.charging
-    n = len(y) // 2
-    if primitive.from_phases == primitive.to_phases:
-        carried = abs(y[:, :n] + y[:, n:]).max() < CARRIED * abs(y).max()  # a voltage of both ends draws nothing
-        if carried:
-            return np.arange(n), np.arange(n, 2 * n)
+    if primitive.is_straight:
+        at_from, at_to = np.arange(len(y)).reshape(2, -1)
+        return at_from, at_to
     row, column = np.nonzero(abs(y) > CARRIED * abs(y).max(initial=0.0))
     return row, column
 
