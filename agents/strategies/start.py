@@ -26,25 +26,31 @@ def find_no_load(area: Area) -> tuple[np.ndarray, np.ndarray]:
 
 
 def start_state(content: Configuration, received: Mapping[str, Loads]) -> np.ndarray:
-    """Start ``x`` of ``AreaModel``: the local power flow where the load messages allow one, else the unloaded area.
-
-    Areas with phases start unloaded: their voltages depend little on loads, beside those of banks.
-    """
-    area, network = content.area, content.area.network
+    """Start ``x`` of ``AreaModel``: the local power flow where the load messages allow one, else the unloaded area."""
+    area = content.area
     vm, va = find_no_load(area)
-    is_balanced = network.table.nodes.is_balanced
-    loads = boundary_loads(area, received, content.load_error) if is_balanced else {}
-    if len(loads) == len(area.boundary_buses) and area.slack_vm is not None and is_balanced:
+    if area.network.table.nodes.is_balanced:  # with phases voltages depend little on loads, beside those of banks
+        vm, va = _solve_with_loads(content, received, vm, va)
+    return np.concatenate([va, vm, [_find_power(area, power, received) for power in area.powers_into_children]])
+
+
+def _solve_with_loads(
+    content: Configuration, received: Mapping[str, Loads], vm: np.ndarray, va: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The voltages of the local power flow, else ``vm`` and ``va``; angles count as those of the reference."""
+    area, network = content.area, content.area.network
+    loads = boundary_loads(area, received, content.load_error)
+    if len(loads) == len(area.boundary_buses) and area.slack_vm is not None:
         try:
             beyond = {b: load.s for b, load in loads.items()}
             flow = solve_power_flow(network, slack=(area.slack_bus, area.slack_vm), extra_load=beyond)
             vm, va = flow.vm, flow.va
         except DsseError:
             pass  # only a start: a wrong load message must not stop the estimate
-    if area.reference and is_balanced:
+    if area.reference:
         bus, angle = area.reference
         va = va + angle - va[network.row[bus]]
-    return np.concatenate([va, vm, [_find_power(area, power, received) for power in area.powers_into_children]])
+    return vm, va
 
 
 def _find_power(area: Area, power: Variable, received: Mapping[str, Loads]) -> float:
