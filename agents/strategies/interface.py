@@ -43,7 +43,7 @@ class Knowledge:
 
 @dataclass(frozen=True)
 class Estimate:
-    """An area's state as published: arrays of shape (n_bus,) in the order of the area's buses, p.u. and rad.
+    """An area's state as published: arrays of shape (n_nodes,) in the order of the area's nodes, p.u. and rad.
 
     ``referenced``: ``va`` counts from the substation. ``removed``: meters taken out as bad data.
     ``critical``: meters that cannot be spared, whatever they read. ``checked``: the search for bad data has been done.

@@ -55,7 +55,7 @@ def describe_failure(error: InvalidInputError | NotObservableError | EstimationD
 
 @dataclass(frozen=True, repr=False)
 class BatchResult:
-    """The estimate of each row of readings. ``vm`` p.u., ``va`` rad: shape (n_row, n_bus), network order.
+    """The estimate of each row of readings. ``vm`` p.u., ``va`` rad: shape (n_row, n_nodes), network order.
 
     ``objective`` J(x), ``iterations`` and ``degrees_of_freedom``: (n_row,). ``failures``: row -> why it has no
     estimate; the numbers of such a row are NaN, its iterations 0.
@@ -91,7 +91,7 @@ def estimate_batch(
         values: (n_row, n_meas), p.u. and rad. A reading that is NaN or masked is missing: its row is estimated as with
             ``plan.without`` that meter, and fails where the others do not determine the state.
         sigmas: (n_row, n_meas), or (n_meas,) for all rows.
-        start: (vm, va), each (n_row, n_bus), or (n_bus,) for all rows; by default the flat start.
+        start: (vm, va), each (n_row, n_nodes), or (n_nodes,) for all rows; by default the flat start.
         tolerance: see ``estimate_with_plan``.
         threads: the most threads that are used; all processors by default. Rows side by side use fewer where the
             memory that they work in does not fit into CACHE_BYTES. The numbers do not depend on it.
@@ -122,7 +122,7 @@ def estimate_batch(
 
 @dataclass(frozen=True)
 class _Rows:
-    """Input and output arrays of a batch; ``starts`` (n_row, 1 or 0, 2, n_bus), ``limits`` of J (n_row,).
+    """Input and output arrays of a batch; ``starts`` (n_row, 1 or 0, 2, n_nodes), ``limits`` of J (n_row,).
 
     ``spaces``: memory that threads have taken from the radial plan.
     """

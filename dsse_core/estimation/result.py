@@ -18,7 +18,7 @@ from dsse_core.linear.whole_grid import GridSolver
 
 @dataclass(frozen=True, repr=False)
 class EstimationResult:
-    """The estimate. ``vm`` p.u., ``va`` rad: shape (n_bus,), network order; ``residual`` z - h(x): (n_meas,).
+    """The estimate. ``vm`` p.u., ``va`` rad: shape (n_nodes,), network order; ``residual`` z - h(x): (n_meas,).
 
     ``values``, ``sigmas`` (n_meas,): the readings of the plan's meters, sigma 0 where a reading holds exactly.
     ``objective`` is J(x) (eq. 3.9), which under the model's assumptions is chi-square distributed with

@@ -388,7 +388,7 @@ class AreaEstimation:
         self.reported |= worst.keys()
 
     def find_sigmas(self) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-        """Standard deviations (sigma_vm, sigma_va), shape (n_bus,), p.u. and rad, and the critical meters.
+        """Standard deviations (sigma_vm, sigma_va), shape (n_nodes,), p.u. and rad, and the critical meters.
 
         Raises:
             FAILURES: numbers that no estimate can have.
@@ -423,7 +423,7 @@ class AreaEstimation:
 
     @property
     def no_load_va(self) -> np.ndarray:
-        """Angles of the unloaded area, shape (n_bus,), rad."""
+        """Angles of the unloaded area, shape (n_nodes,), rad."""
         return self._flat[: self._n]
 
     @property
@@ -437,7 +437,7 @@ class AreaEstimation:
 
     @property
     def voltages(self) -> tuple[np.ndarray, np.ndarray]:
-        """(vm, va), shape (n_bus,), p.u. and rad."""
+        """(vm, va), shape (n_nodes,), p.u. and rad."""
         return self.x[self._n : 2 * self._n], self.x[: self._n]
 
 

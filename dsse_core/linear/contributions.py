@@ -59,7 +59,7 @@ class FurtherRows(ABC):
 
 @dataclass(frozen=True, eq=False)
 class VoltageReadings(FurtherRows):
-    """Readings ``z`` of every voltage: angles, then magnitudes, (2 n_bus,), such as the state before."""
+    """Readings ``z`` of every voltage: angles, then magnitudes, (2 n_nodes,), such as the state before."""
 
     z: np.ndarray
     sigma: float = PRIOR_SIGMA
