@@ -35,10 +35,14 @@ test("a feeder on which nothing is wrong", () => {
   assert.equal(tiles.Power.text, "head: 3926.5 kW\nload: 3715.3 kW\nlosses: 211.2 kW");
 });
 
-test("a phase is named, and its bus is selected", () => {
+test("a phase is named, and its bus or branch is selected", () => {
   const { Voltage } = tilesOf({ of: { voltage: spread(6, at("5.b", 0.95), at("2.c", 1.01)) } });
   assert.deepEqual(Voltage.offers.map(({ label, choice }) => [label, choice.id]), [["5.b: 0.9500", "5"], ["2.c: 1.0100", "2"]]);
   assert.deepEqual(findWorst(moment({ of: { voltage: spread(6, at("5.b", 0.95), at("2.c", 1.01)) } })), { kind: "bus", id: "5" });
+  const loading = spread(5, at("1-2.a", 3), at("2-3.b", 112), { outside: 1, worst: [at("2-3.b", 112)] }), current = spread(5, at("1-2.a", 1), at("2-3.b", 210));
+  const { Loading } = tilesOf({ of: { loading, current }, view: { areas: { a: area("good"), b: area("degraded") } } });
+  assert.deepEqual(Loading.offers.map(({ label, choice }) => [label, choice.id]), [["2-3.b: 112.0 % (degraded)", "2-3"], ["2-3.b: 210.0 A (degraded)", "2-3"]]);
+  assert.deepEqual(findWorst(moment({ of: { loading } })), { kind: "branch", id: "2-3" });
 });
 
 test("what is outside the limits is counted and offered, the farthest first", () => {

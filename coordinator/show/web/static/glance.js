@@ -29,8 +29,8 @@ function counted(count, noun) {
  */
 function offering({ view }, { buses, branches }, kind, column, unit = "") {
   return ({ at, value }) => {
-    const id = kind === "bus" ? busOf(at) : at;
-    const area = kind === "bus" ? buses.area[buses.id.indexOf(Number(id))] : branches.area[branches.id.indexOf(at)], quality = entryOf(view.areas, area)?.quality ?? "good";
+    const id = placeOf(at);
+    const area = kind === "bus" ? buses.area[buses.id.indexOf(Number(id))] : branches.area[branches.id.indexOf(id)], quality = entryOf(view.areas, area)?.quality ?? "good";
     return { label: `${at}: ${fixed(value, column)}${unit}${quality === "good" ? "" : ` (${quality})`}`, choice: { kind, id } };
   };
 }
@@ -148,14 +148,14 @@ export function findTiles(moment, grid) {
 export function findWorst({ causes, summary: { voltage, loading } }) {
   const [place] = causes.length ? placesOf(causes[0]) : [];
   if (place) return { kind: place[0], id: place[1][0] };
-  if (voltage.outside) return { kind: "bus", id: busOf(voltage.worst[0].at) };
-  if (loading.outside) return { kind: "branch", id: loading.worst[0].at };
-  return voltage.lowest ? { kind: "bus", id: busOf(voltage.lowest.at) } : null;
+  if (voltage.outside) return { kind: "bus", id: placeOf(voltage.worst[0].at) };
+  if (loading.outside) return { kind: "branch", id: placeOf(loading.worst[0].at) };
+  return voltage.lowest ? { kind: "bus", id: placeOf(voltage.lowest.at) } : null;
 }
 
-/** The bus of a node such as 671.b. @param {string} node */
-function busOf(node) {
-  return node.split(".")[0];
+/** The bus of a node such as 671.b, or the branch of a conductor such as 632-670.b. @param {string} at */
+function placeOf(at) {
+  return at.split(".")[0];
 }
 
 /** The tiles on the page; buttons are reused, so that focus stays. */
