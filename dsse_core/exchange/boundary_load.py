@@ -3,7 +3,8 @@
 The load at a boundary bus is loads minus generation of everything beyond it (thesis eqs. 5.1, 5.2, 5.6,
 5.7); losses beyond are neglected. It is summed hop by hop along the tree of areas: area i sends neighbour j
 the net load of all buses on its side. A boundary bus itself counts on the side of its owner. Shunts and line
-charging count as loads at 1 p.u. voltage; the difference at another voltage is neglected.
+charging count as loads at 1 p.u. voltage, with phases at the voltages of the unloaded grid; the difference at other
+voltages is neglected.
 
 A balanced load has one place, wherever it stands, as power reaches each boundary undivided. With phases a load stands
 at its node, and an area carries all loads to each boundary as currents (``Area.carried_loads``).

@@ -141,7 +141,10 @@ class MeasurementModel:
         return np.concatenate([self.row, self.row, *beyond])
 
     def linearize_compiled(self, x: np.ndarray, *, with_H: bool = True) -> tuple[np.ndarray, np.ndarray]:
-        """``linearize_entries``, or without ``with_H`` h(x) and no entries, by compiled code: needs numba."""
+        """``linearize_entries``, or without ``with_H`` h(x) and no entries, by compiled code: needs numba.
+
+        Only of a whole network: currents ``beyond`` are left out.
+        """
         from dsse_core.grid import derivatives
 
         places = self._pattern[0] if self._has_one_entry_each else np.arange(2 * self.y.nnz)

@@ -27,9 +27,9 @@ class LoadFaultTable(Table):
     """``load``: changes of the content of load messages on the way."""
 
     p_mw: float = 0.0
-    """Added."""
+    """Added; with phases a third at each."""
     q_mvar: float = 0.0
-    """Added."""
+    """Likewise."""
     scale: float = 1.0
     """Multiplies."""
     frozen: bool = False
@@ -40,9 +40,9 @@ class LieTable(Table):
     """``lie``: changes of the content of a strategy's messages on the way."""
 
     p_mw: float = 0.0
-    """Added to the active power at the boundary."""
+    """Added to the active power at the boundary; with phases a third at each."""
     q_mvar: float = 0.0
-    """Added to the reactive power."""
+    """Likewise, reactive power."""
     vm_pu: float = 0.0
     """Added to the voltage magnitude."""
     va_deg: float = 0.0
