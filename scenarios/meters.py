@@ -83,9 +83,8 @@ def build_sigma_rule(table: MeasurementsTable, network: Network) -> SigmaRule:
 
 
 def _floor_of(table: MeasurementsTable, network: Network) -> float:
-    """``floor_kva`` in p.u., which with phases is a third of ``base_mva``."""
-    floor = table.floor_kva / 1000 / network.base_mva
-    return floor if network.table.nodes.is_balanced else 3 * floor
+    """``floor_kva`` in p.u. of a node."""
+    return table.floor_kva / 1000 / network.node_mva
 
 
 def find_floor_problems(table: MeasurementsTable, network: Network) -> Iterable[str]:

@@ -179,6 +179,11 @@ class Network:
             return -1 if phase else row
         return int(nodes.find(np.array([row]), PHASES.index(phase))[0])
 
+    @property
+    def node_mva(self) -> float:
+        """The size of 1 p.u. of power at a node, MVA: of a node with a phase a third of ``base_mva``."""
+        return self.base_mva if self.table.nodes.is_balanced else self.base_mva / 3
+
     @cached_property
     def node_buses(self) -> tuple[int, ...]:
         """The bus of each node."""

@@ -55,7 +55,7 @@ def find_range_problems(network: Network) -> Iterator[str]:
     for generator in network.generators:
         yield from _of_source(generator, network.base_mva)
     for load in network.loads:
-        yield from _of_load(load, network.base_mva)
+        yield from _of_load(load, network.node_mva)
 
 
 def find_base_problems(base_mva: float, base_kv: Mapping[int, float]) -> Iterator[str]:
@@ -96,8 +96,8 @@ def _of_branch(branch: Branch, base: float) -> Iterator[str]:
 
 def _of_load(load: Load, base: float) -> Iterator[str]:
     of = f"load at bus {load.bus}, {load.phases}"
-    yield from POWER.find_problem(f"{of}: active power", load.s.real * base / 3)
-    yield from REACTIVE_POWER.find_problem(f"{of}: reactive power", load.s.imag * base / 3)
+    yield from POWER.find_problem(f"{of}: active power", load.s.real * base)
+    yield from REACTIVE_POWER.find_problem(f"{of}: reactive power", load.s.imag * base)
     for exponent in load.exponents:
         yield from EXPONENT.find_problem(f"{of}: exponent", exponent)
 

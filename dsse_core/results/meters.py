@@ -120,9 +120,9 @@ def _find_status(
 
 def find_unit_sizes(network: Network, meters: Sequence[Meter]) -> np.ndarray:
     """The size of 1 p.u. or 1 rad in the unit of each meter, (n_meas,); of a total the power base of its phases."""
-    kw, (_, of_meter) = base_kw(network), tabulate_meters(network, meters).spread()
+    kw, n_phases = base_kw(network), tabulate_meters(network, meters).n_phases
     of_unit = {"pu": 1.0, "deg": 180 / np.pi, "kw": kw, "kvar": kw, "a": np.nan}
     kinds, row = number_kinds(meters), network.table.rows.find(read_column(meters, "bus", np.int64))
     of_kind = np.array([of_unit[UNIT[kind]] for kind in KINDS])
-    sizes: np.ndarray = np.where(_has_unit("a")[kinds], base_a(network)[row], of_kind[kinds])
-    return sizes if of_meter is None else sizes * np.bincount(of_meter)
+    sizes: np.ndarray = n_phases * np.where(_has_unit("a")[kinds], base_a(network)[row], of_kind[kinds])
+    return sizes

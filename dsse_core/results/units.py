@@ -15,8 +15,7 @@ from dsse_core.grid.network import Network
 
 def base_kw(network: Network) -> float:
     """The size of 1 p.u. of power at each node, kW, kvar or kVA."""
-    whole = 1000.0 * network.base_mva
-    return whole if network.table.nodes.is_balanced else whole / 3
+    return 1000.0 * network.node_mva
 
 
 def base_kv(network: Network) -> np.ndarray:

@@ -37,7 +37,7 @@ def save_network(path: Path, network: Network, data_source: str) -> None:
     head = {"name": network.name, "data_source": data_source, "base_mva": float(network.base_mva)}
     base = network.base_mva
     has_phases = not network.table.nodes.is_balanced
-    rest = {"load": [_load_row(load, base) for load in network.loads]} if has_phases else {}
+    rest = {"load": [_load_row(load, 1000 * network.node_mva) for load in network.loads]} if network.loads else {}
     rest |= {"source": [_source_row(generator, network) for generator in network.generators]}
     if path.suffix == ".json":
         branches = [_branch_row(b, network) for b in network.branches] if has_phases else _branch_columns(network)
@@ -158,9 +158,8 @@ def _ports_row(primitive: Primitive) -> dict[str, object]:
     return row
 
 
-def _load_row(load: Load, base: float) -> dict[str, object]:
-    of_leg = base / 3 * 1000
-    row = {"bus": load.bus, "phases": load.phases, "p_kw": [load.s.real * of_leg], "q_kvar": [load.s.imag * of_leg]}
+def _load_row(load: Load, base_kw: float) -> dict[str, object]:
+    row = {"bus": load.bus, "phases": load.phases, "p_kw": [load.s.real * base_kw], "q_kvar": [load.s.imag * base_kw]}
     return row | ({"exponents": list(load.exponents)} if any(load.exponents) else {})
 
 

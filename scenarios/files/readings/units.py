@@ -61,9 +61,9 @@ def sizes_of(unit: str, meters: Sequence[Meter], network: Network) -> np.ndarray
 
 def power_bases(meters: Sequence[Meter], network: Network) -> np.ndarray:
     """Size of 1 p.u. of power of each of ``meters``, MVA, (n,): with phases a third, of a total one for each phase."""
-    if network.table.nodes.is_balanced:
-        return np.full(len(meters), network.base_mva)
-    return network.base_mva / 3 * tabulate_meters(network, meters).n_phases
+    if network.table.nodes.is_balanced:  # a row of a file is read in a fraction of the time
+        return np.full(len(meters), network.node_mva)
+    return network.node_mva * tabulate_meters(network, meters).n_phases
 
 
 def size_of_range(meter: Meter, network: Network) -> float:
