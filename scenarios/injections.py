@@ -7,9 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
+from dsse_core.grid.loads import GROUND
 from dsse_core.grid.network import Network
-
-GROUND = -1
 
 
 @dataclass(frozen=True)

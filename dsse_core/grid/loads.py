@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 
+GROUND = -1  # in place of the row of a node
+
+
 @dataclass(frozen=True, slots=True)
 class Load:
     """A leg at a bus with phases: from ``phases`` "a" to the ground, of "ab" between a and b.
@@ -29,7 +32,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Legs:
-    """All legs of a network, (n_leg,) each: the rows of ``node`` and of ``other``, -1 for the ground; see ``Load``.
+    """All legs of a network, (n_leg,) each: the rows of ``node`` and of ``other``, or GROUND; see ``Load``.
 
     The balanced load of a bus is one leg of constant power.
     """

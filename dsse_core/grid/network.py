@@ -20,7 +20,7 @@ import numpy as np
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.columns import Records, read_given
 from dsse_core.grid.gauge import Gauge, find_gauge
-from dsse_core.grid.loads import Legs, Load, find_nominal
+from dsse_core.grid.loads import GROUND, Legs, Load, find_nominal
 from dsse_core.grid.network_table import NetworkTable, tabulate
 from dsse_core.grid.nodes import PHASES, Primitive, explain_phases, list_phases, name_node, read_phases
 from dsse_core.printable import listed
@@ -249,9 +249,9 @@ class Network:
         """The legs of all loads; of a balanced network one for each bus."""
         if self.table.nodes.is_balanced:
             node = np.arange(self.n_nodes)
-            return Legs(node, np.full(len(node), -1), self.table.load, np.zeros((len(node), 2)))
+            return Legs(node, np.full(len(node), GROUND), self.table.load, np.zeros((len(node), 2)))
         ends = [[self.node(load.bus, phase) for phase in list_phases(load.phases)] for load in self.loads]
-        node, other = np.array([[*of_leg, -1][:2] for of_leg in ends], dtype=np.int64).reshape(-1, 2).T
+        node, other = np.array([[*of_leg, GROUND][:2] for of_leg in ends], dtype=np.int64).reshape(-1, 2).T
         s = np.array([load.s for load in self.loads], dtype=complex)
         return Legs(node, other, s, np.array([load.exponents for load in self.loads], dtype=float).reshape(-1, 2))
 

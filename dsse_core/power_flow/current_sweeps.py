@@ -1,7 +1,8 @@
 """Power flows of networks with phases by sweeps: the currents that loads draw, then the voltages that these cause.
 
 ``v = Y^-1 (conj(s(v) / v) - Y_s v_s)`` at the nodes but those of the source, s; the factors of Y serve all sweeps and
-all schedules. On a tree substitution goes to the root and back, as the sweeps of balanced networks do.
+all schedules. On a tree substitution goes to the root and back, as the sweeps of balanced networks do; these need no
+matrix, and take a third to a fifth of the time.
 """
 
 from __future__ import annotations

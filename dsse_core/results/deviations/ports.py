@@ -14,6 +14,7 @@ import scipy.sparse as sp
 
 from dsse_core.estimation.result import EstimationResult
 from dsse_core.grid.admittance import build_admittance
+from dsse_core.grid.loads import GROUND
 from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.grid.measurement_model import build_model_of_rows
 from dsse_core.grid.meter_table import KINDS
@@ -24,7 +25,6 @@ from dsse_core.results.state import GridState
 from dsse_core.results.totals import Division, find_shares
 
 FLOWS = MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW
-GROUND = -1
 
 
 class PortDeviations:
