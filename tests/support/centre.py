@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from unittest import mock
 
@@ -21,11 +22,10 @@ GAP = 1e-9  # p.u. and rad
 SIGMA = 1e-6  # relative
 
 
-def trace_centre(
-    network: Network, readings: Sequence[Measurement]
-) -> tuple[BadDataReport, list[str], list[np.ndarray]]:
-    """The centre's report, its verdicts, and x after each."""
-    verdicts, states, original = [], [], WholeGrid.carry_out
+@contextmanager
+def traced_centre() -> Iterator[tuple[list[str], list[np.ndarray]]]:
+    """The verdicts that the centre carries out meanwhile, and x after each."""
+    verdicts, states, original = list[str](), list[np.ndarray](), WholeGrid.carry_out
 
     def carry_out(self: WholeGrid, verdict: Verdict) -> None:
         original(self, verdict)
@@ -33,6 +33,14 @@ def trace_centre(
         states.append(self.x)
 
     with mock.patch.object(WholeGrid, "carry_out", carry_out):
+        yield verdicts, states
+
+
+def trace_centre(
+    network: Network, readings: Sequence[Measurement]
+) -> tuple[BadDataReport, list[str], list[np.ndarray]]:
+    """The centre's report, its verdicts, and x after each."""
+    with traced_centre() as (verdicts, states):
         return process_bad_data(network, readings), verdicts, states
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ Z = np.array([[0.0346 + 0.1018j, 0.0156 + 0.0502j, 0.0158 + 0.0424j]] * 3)  # of
 Z = np.triu(Z, 1) + np.triu(Z, 1).T + np.diag([0.0346 + 0.1018j, 0.0337 + 0.1048j, 0.0341 + 0.1035j])
 ENOUGH = 60  # sweeps of the power flow
 MOST_VERDICTS = 400  # of a scan, with all that is removed
+NO_MESSAGES: dict[str, BoundaryInformation] = {}
 
 
 def coupled_line(name: str, ends: tuple[int, int], phases: str, length: float = 1.0) -> Branch:
@@ -138,17 +139,26 @@ class Rounds:
 
 
 def run_rounds(
-    partition: Partition, measurements: Sequence[Measurement], former: Rounds | None = None, gone: str = ""
+    partition: Partition,
+    measurements: Sequence[Measurement],
+    former: Rounds | None = None,
+    gone: str = "",
+    start: tuple[np.ndarray, np.ndarray] | None = None,
+    last: Collection[Decision] = (Decision.FINAL,),
 ) -> Rounds:
     """One scan of all areas, each told what the areas beyond each neighbour say.
 
-    ``former``: the scan before. ``gone``: an area without others beyond it that has fallen silent since.
+    ``former``: the scan before. ``gone``: an area without others beyond it that has fallen silent since. ``start``:
+    (vm, va) of all nodes, where the areas begin. ``last``: the decisions after which the rounds end.
     """
     sides = {a.name: former.estimations[a.name] if former else AreaEstimation(a) for a in partition.areas}
     sides.pop(gone, None)
     by_area = partition.split_meters([m.meter for m in measurements])
     beside = {name: [n.area for n in side.area.neighbours if n.area != gone] for name, side in sides.items()}
     for name, side in sides.items():
+        if start is not None:
+            of_area = partition.rows_of_nodes[name]
+            side.x = np.concatenate([start[1][of_area], start[0][of_area], side.x[2 * len(of_area) :]])
         silent = {n.area for n in side.area.neighbours} & {gone}
         side.begin([measurements[k] for k in by_area[name].tolist()], silent=silent, stale=False)
 
@@ -162,22 +172,23 @@ def run_rounds(
     def hear(at_no_load: bool) -> dict[str, dict[str, BoundaryInformation]]:
         return {name: {other: tell(other, name, at_no_load) for other in others} for name, others in beside.items()}
 
-    memory, found, no_load = Memory(), Rounds(sides, [], [], Memory()), dict[str, dict[str, BoundaryInformation]]()
+    memory, found, no_messages = Memory(), Rounds(sides, [], [], Memory()), {name: NO_MESSAGES for name in sides}
+    no_load = no_messages
     while len(found.verdicts) < MOST_VERDICTS:
         for name, side in sides.items():
             if side.area.parent:
                 sides[side.area.parent.area].set_power(name, side.power_for(side.area.parent.area))
         memory, verdict = decide(memory, add_totals([side.totals() for side in sides.values()]))
-        received = hear(at_no_load=False)
+        received = hear(at_no_load=False) if verdict.takes_step else no_messages
         if not gone and any(side.is_first for side in sides.values()):
             no_load = hear(at_no_load=True)
         for name, side in sides.items():
-            side.carry_out(verdict, memory, received[name], no_load.get(name, {}))
+            side.carry_out(verdict, memory, received[name], no_load[name])
             assert not side.failure
         found.memory = memory
         found.verdicts.append(str(verdict))
         found.states.append({name: side.x[: 2 * side.area.network.n_nodes] for name, side in sides.items()})
-        if verdict.decision is Decision.FINAL:
+        if verdict.decision in last:
             return found
         if verdict.decision is Decision.ANEW and not gone:
             no_load = hear(at_no_load=True)
