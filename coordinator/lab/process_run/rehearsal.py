@@ -77,7 +77,7 @@ def _divide_feeder(n_bus: int) -> Partition:
 
 
 def _list_meters(network: Network) -> list[Meter]:
-    at_buses = [kind for kind in MeasurementKind if kind is MeasurementKind.VM or kind.of_injection]
+    at_buses = (MeasurementKind.VM, MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
     flows = (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW)
     meters = [Meter(kind, bus.id) for bus in network.buses for kind in at_buses]
     return [*meters, *(Meter(kind, b.from_bus, b.id) for b in network.branches for kind in flows)]
