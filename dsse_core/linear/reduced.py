@@ -29,7 +29,7 @@ from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import EXACT_SIGMA, TIED_SIGMA, BoundaryInformation
 from dsse_core.linear.interface import NOT_YET, Matrix, Received, Rows
 from dsse_core.linear.pieces import Pieces, Reduction, divide_tree
-from dsse_core.linear.reflections import Eliminated, eliminate, triangulate
+from dsse_core.linear.reflections import Eliminated, eliminate, triangulate, turn_alone
 from dsse_core.linear.rows import RowSolver, shift_of_own_rows
 from dsse_core.linear.sparse import SparseRows
 
@@ -134,8 +134,10 @@ class ReducedSolver(RowSolver):
         (y, dy), boundary = reduced.boundaries[neighbour.area], self.model.boundary_of(neighbour)
         rows = self._stack(reduced, {name: sent for name, sent in received.items() if name != neighbour.area})
         rows = _with_powers(rows, dy, boundary.n_powers, self.tied_sigma(boundary)) if neighbour.is_parent else rows
-        k = len(places)
-        rows = triangulate(eliminate(rows[:, columns], len(columns) - 1 - k).rows)
+        rows, k = rows[:, columns], len(places)
+        if neighbour.is_parent and not boundary.is_single:  # p and q of one node are independent
+            _turn_ties(rows[-boundary.n_powers :], len(columns) - 1 - k)
+        rows = triangulate(eliminate(rows, len(columns) - 1 - k).rows)
         R, z = np.zeros((boundary.d, boundary.d)), np.zeros(boundary.d)
         R[:k, places], z[:k] = rows[:k, :-1], rows[:k, -1]
         R = _undo_shifts(R, places, y, boundary)
@@ -287,6 +289,17 @@ def _with_powers(rows: np.ndarray, dy: np.ndarray, n: int, sigma: float) -> np.n
     wide = np.zeros((len(rows) + n, rows.shape[1] + n))
     wide[:-n, n:], wide[-n:, :n], wide[-n:, n:] = rows, -np.eye(n) / sigma, tie / sigma
     return wide
+
+
+def _turn_ties(ties: np.ndarray, n: int) -> None:
+    """Turns the rows ``ties``, in place, where they do not determine those of the first ``n`` variables that they have.
+
+    Behind a delta winding currents sum to zero, whatever the voltages within are. The row of the sum is exact; if it
+    eliminated a variable by what rounding leaves of it there, it would spread, and with it rounding, to all other rows.
+    """
+    turned, above = turn_alone(ties, n)
+    if above < min(len(ties), int(ties[:, :n].any(axis=0).sum())):
+        ties[:] = turned
 
 
 def _undo_shifts(R: np.ndarray, places: np.ndarray, y: np.ndarray, boundary: Boundary) -> np.ndarray:

@@ -22,6 +22,7 @@ SIGMA = {None: 1e-6, 1.0: 1e-6, 4.0: 2e-5}  # relative, of sigmas over decades
 LEAST = 1e-9  # p.u. and rad, of sigmas: those beside a stiff source are as small as 4e-7
 SOME_123 = (13, 18, 60, 67, 97, 36, 54)
 MANY_123 = (*SOME_123, 23, 25, 44, 47, 57, 72, 76, 81, 87, 105, 108)
+BELOW_THE_SUBSTATION = (1000, 633, 680, 611, 684)  # the head has the source and the line to the bank's delta winding
 
 
 @dataclass(frozen=True)
@@ -49,8 +50,10 @@ FEW = [
     Case("ieee13", (632, 671, 645, 684, 670, 633), False, None),
     Case("ieee37", (702, 710, 709), True, 1.0),
     Case("4bus-yd", (2,), False, 4.0),
+    Case("ieee13", BELOW_THE_SUBSTATION, False, 1.0),
 ]
 CUTS: list[tuple[str, tuple[int, ...]]] = [
+    ("ieee13", BELOW_THE_SUBSTATION),
     ("ieee13", (632, 671)), ("ieee13", (632, 671, 645, 684, 670, 633)), ("ieee34", (816, 824, 834, 832)),
     ("ieee37", (702, 710, 709)), ("ieee37", (702, 710, 709, 703, 707, 708, 733, 734, 711, 1799)),
     ("ieee37", (709, 799)), ("ieee123", SOME_123), ("ieee123", MANY_123),
