@@ -27,10 +27,7 @@ MOST, MOST_FAR = 0.9, 0.5  # shares of draws in which areas go the centre's way
 CUTS = [(f"4bus-{name}", bus) for name in ("dy", "yd", "grdyd", "yy") for bus in (2, 3)]
 FAR = 0.9  # of magnitudes, and rad
 ANEW_SOON = {"4bus-dy": 5, "4bus-yd": 2, "4bus-grdyd": 2, "4bus-yy": 7}  # seeds whose start leads nowhere in few steps
-# All sigmas equal: rows that tie powers into a delta winding to voltages, of EXACT_SIGMA, weigh so much more than
-# meters that steps of areas keep a noise of 1e-9, and rounds go on until all steps are used up. Not drawn.
-NOISY = ("4bus-dy", 2, 0.0)
-SHORTENED = [(*cut, decades) for decades in (0.0, 2.0, 4.0) for cut in CUTS if (*cut, decades) != NOISY]
+SHORTENED = [(*cut, decades) for decades in (0.0, 2.0, 4.0) for cut in CUTS]
 DRAWS = [*((*draw, 0.0) for draw in SHORTENED), *((*cut, 4.0, FAR) for cut in CUTS)]
 
 Start = tuple[np.ndarray, np.ndarray]
