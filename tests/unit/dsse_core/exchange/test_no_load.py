@@ -44,8 +44,8 @@ def decide_by_areas(feeder):
 
     unobservable, indispensable = set(), set()
     for area in partition.areas:
-        buses, meters = sides[area.name].examine({n.area: tell(n.area, area.name) for n in area.neighbours})
-        unobservable |= set(buses) - set(area.not_owned)
+        nodes, meters = sides[area.name].examine({n.area: tell(n.area, area.name) for n in area.neighbours})
+        unobservable |= {area.network.buses[node].id for node in nodes} - set(area.not_owned)
         indispensable |= meters
     return unobservable, set() if unobservable else indispensable
 
