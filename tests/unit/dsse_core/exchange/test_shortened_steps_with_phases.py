@@ -17,6 +17,7 @@ from dsse_core.grid.network import Network
 from tests.support.centre import GAP, traced_centre
 from tests.support.ieee_feeders import load_feeder
 from tests.support.ieee_feeders.placing import cut_at, place_meters
+from tests.support.levels import some_further
 from tests.support.phases import run_rounds
 
 ALONG = 1e-7  # p.u. and rad: the largest difference of x_k
@@ -109,8 +110,7 @@ def test_areas_begin_anew_where_the_centre_does(cut: tuple[str, int]) -> None:
     assert find_areas_way(network, cut[1], readings, start).ends_as(way)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("draw", DRAWS, ids=str)
+@pytest.mark.parametrize("draw", some_further(DRAWS, 6), ids=str)
 def test_areas_go_another_way_only_where_the_centre_parts_from_itself(draw: tuple[str, int, float, float]) -> None:
     """Where steps wander, down to no voltage, rounding alone decides where they lead."""
     name, cut, decades, far = draw
