@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 
 import numpy as np
 
@@ -62,14 +63,18 @@ class Load:
     sigma: float
 
 
-def expect_loads(area: Area) -> dict[tuple[MeasurementKind, int], Load]:
-    """(kind, bus) -> expected injection, for the buses that the area owns and that have a schedule.
+Place = tuple[MeasurementKind, int, str]  # kind, bus and phase of an injection
+
+
+def expect_loads(area: Area) -> dict[Place, Load]:
+    """Place -> expected injection, for the nodes that the area owns and that have a schedule.
 
     The Q of a load lies between ``LOWEST_LOAD`` and ``HIGHEST_LOAD`` of its schedule, evenly distributed. The standard
     deviation is in parts of the apparent power, as the power factor is not constant. The P of a load lies between minus
     and plus ``HIGHEST_LOAD`` of the apparent power, as photovoltaics outside the schedule may turn it. At a bus with a
-    generator P and Q both lie in that range, of the apparent power of load and generation. A bus whose generator holds
-    the voltage has no expected injection.
+    generator P and Q both lie in that range, of the apparent power of load and generation. So they do at a node with a
+    leg to another one, as the angle of their voltages counts. A bus whose generator holds the voltage has no expected
+    injection.
     """
     network = area.network
     spread, spread_of_either_sign = (HIGHEST_LOAD - LOWEST_LOAD) / math.sqrt(12), HIGHEST_LOAD / math.sqrt(3)
@@ -77,15 +82,22 @@ def expect_loads(area: Area) -> dict[tuple[MeasurementKind, int], Load]:
     for generator in network.generators:
         size = abs(complex(generator.p, generator.q)) if generator.control is Control.POWER else math.inf
         produced[generator.bus] = produced.get(generator.bus, 0.0) + size
+    drawn, between, legs = [0.0] * network.n_nodes, set[int](), network.legs
+    q = [0.0] * network.n_nodes
+    for node, other, s in zip(legs.node.tolist(), legs.other.tolist(), legs.s.tolist(), strict=True):
+        for end in (node, other)[: 1 + (other >= 0)]:
+            drawn[end] += abs(s)
+        q[node] += s.imag
+        between |= {node, other} if other >= 0 else set()
     expected = {}
-    for bus in network.buses:
-        size = abs(complex(bus.p_load, bus.q_load)) + produced.get(bus.id, 0.0)
-        if bus.id in area.not_owned or not 0 < size < math.inf:
+    for node, (bus, phase) in enumerate(zip(network.node_buses, network.node_phases or repeat(""), strict=False)):
+        size = drawn[node] + produced.get(bus, 0.0)
+        if bus in area.not_owned or not 0 < size < math.inf:
             continue
         either = Load(0.0, spread_of_either_sign * size)
-        of_load = Load(-(LOWEST_LOAD + HIGHEST_LOAD) / 2 * bus.q_load, spread * size)
-        expected[KIND.P_INJECTION, bus.id] = either
-        expected[KIND.Q_INJECTION, bus.id] = either if bus.id in produced else of_load
+        of_load = Load(-(LOWEST_LOAD + HIGHEST_LOAD) / 2 * q[node], spread * size)
+        expected[KIND.P_INJECTION, bus, phase] = either
+        expected[KIND.Q_INJECTION, bus, phase] = either if bus in produced or node in between else of_load
     return expected
 
 
@@ -183,13 +195,11 @@ class GatewayTest:
 class _Rows:
     """Rows of a model of ``area``: the meters ``read``, then injections that only their schedules state."""
 
-    def __init__(
-        self, area: Area, reference: int | None, read: tuple[Meter, ...], loads: Mapping[tuple[KIND, int], Load]
-    ) -> None:
-        places = [(meter.kind, meter.bus) if meter.kind.of_injection else None for meter in read]
+    def __init__(self, area: Area, reference: int | None, read: tuple[Meter, ...], loads: Mapping[Place, Load]) -> None:
+        places = [(meter.kind, meter.bus, meter.phases) if meter.kind.of_injection else None for meter in read]
         unread = [place for place in loads if place not in set(places)]
         self.read = read
-        self.meters = (*read, *(Meter(*place, source=Source.PSEUDO) for place in unread))
+        self.meters = (*read, *(Meter(kind, bus, source=Source.PSEUDO, phases=phase) for kind, bus, phase in unread))
         self.is_virtual = np.array([meter.source is Source.VIRTUAL for meter in self.meters], dtype=bool)
         self.is_power = np.array([meter.kind in POWERS for meter in self.meters], dtype=bool) & ~self.is_virtual
         self._is_injection = np.array([meter.kind.of_injection for meter in self.meters], dtype=bool)

@@ -19,6 +19,7 @@ from coordinator.show.figures.diagram import (
     number_buses,
 )
 from coordinator.show.figures.feeder_layout import lay_out
+from coordinator.show.figures.profile_figures import describe_ungrounded
 from coordinator.show.figures.style import GREY, VERMILLION, Drawing
 from dsse_core.estimation.state_limits import OperatingLimits
 
@@ -87,6 +88,7 @@ def draw_network(outcome: RunOutcome) -> Drawing:
     number_buses(axes, partition, layout, [int(ids[row]) for row in ends])
     numbered = "boundary buses and those of the lowest and the highest voltage have their numbers"
     caption = f"Estimated voltage {what} on the one-line diagram; {numbered}. Dashed branches close loops."
+    caption += describe_ungrounded(network)
     if len(known) < len(vm):
         caption += f" Grey: {len(vm) - len(known)} buses without a fresh estimate."
     return Drawing("network", "Voltages in the network", caption, figure)

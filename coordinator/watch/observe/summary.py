@@ -91,12 +91,13 @@ def summarise(tables: Tables, known: GridTables | None) -> Summary:
 
 
 def _find_voltage(buses: Table, limits: OperatingLimits) -> Extent:
-    """Extent of the voltages of all nodes; where several areas show a node, a fresh number counts."""
+    """Extent of the voltages of nodes with a path to ground; of a node that several areas show, a fresh one counts."""
     number = {phase: k for k, phase in enumerate(dict.fromkeys(buses.phase))}
     node = buses.bus * len(number) + np.array([number[phase] for phase in buses.phase], dtype=np.int64)
     order = np.argsort(~buses.fresh, kind="stable")
     at = order[np.unique(node[order], return_index=True)[1]]
-    every, band = np.ones(len(at), dtype=bool), (limits.lowest_vm, limits.highest_vm)
+    every = buses.grounded[at] if "grounded" in buses.columns else np.ones(len(at), dtype=bool)
+    band = limits.lowest_vm, limits.highest_vm
 
     def name(k: int) -> str:
         return name_by_phase([str(buses.bus[at[k]])], [buses.phase[at[k]]])[0]

@@ -15,15 +15,18 @@ from coordinator.lab.strategy_check import check_with_strategy
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.estimation.state_limits import StateLimits
+from dsse_core.exchange.gateway_mistakes import POWERS
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Partition
 from dsse_core.link_faults import LinkFaults
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import make_telemetry
 from tests.support.areas_with_phases import SOUND, find_gap, find_qualities, read_by_area, split_phases
 from tests.support.phases import AREAS, DEEP, RING, TIE, make_feeder, read_meters
 from tests.support.scenario_with_phases import make_scenario
-from tests.support.simulated_bus import SimulatedBus
+from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 GAP = 1e-9  # p.u. and rad
 DIVISIONS = {"four areas": AREAS, "six areas": DEEP, "a ring": RING}
@@ -169,3 +172,34 @@ def test_an_estimate_outside_the_band_names_the_phase():
     assert re.fullmatch(
         r"voltages of \d nodes are outside 1.01 to 1.5 p.u., the farthest is \S+ p.u. at bus \d+.[bc]", note
     )
+
+
+@pytest.mark.parametrize("factor", [-1.0, 1e-3])
+def test_a_gateway_that_is_wrong_as_a_whole_is_named_where_buses_have_phases(factor: float):
+    scenario = load_scenario("ieee13")
+    sound = make_telemetry(scenario).by_area
+    wrong = [replace(m, value=factor * m.value) if m.meter.kind in POWERS else m for m in sound["area1"]]
+    for readings, is_named in ((sound, False), (sound | {"area1": wrong}, True)):
+        bus = SimulatedBus(area_files_of(scenario), readings)
+        bus.run(3.0)
+        notes = [note for state in bus.states.values() for note in state.notes if "look wrong" in note]
+        assert bool(notes) is is_named
+
+
+def test_a_bus_of_loads_between_phases_is_a_boundary_through_a_removal_and_restarts():
+    """Areas 2 and 3 of ieee13 meet at bus 671; for the gross error all areas start anew without the voltmeter there."""
+    scenario = load_scenario("ieee13", changes={"telemetry.gross_error": [{"meter": "vm@671.b", "sigmas": 40}]})
+    telemetry = make_telemetry(scenario)
+    centre = process_bad_data(scenario.network, telemetry.union)
+    assert [removed.measurement.meter.id for removed in centre.removed] == ["vm@671.b"]
+    bus = SimulatedBus(area_files_of(scenario), telemetry.by_area)
+    bus.run(3.0)
+    for gone in ("area3", "area2"):
+        assert find_qualities(bus) == dict.fromkeys(bus.files, "good")
+        assert bus.states["area2"].removed == ("vm@671.b",)
+        assert find_gap(bus, scenario.network, centre) < GAP
+        bus.kill(gone)
+        bus.run(3.0)
+        bus.start(gone)
+        bus.run(3.0)
+    assert find_gap(bus, scenario.network, centre) < GAP

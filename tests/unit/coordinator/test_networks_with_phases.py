@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from coordinator.lab.evaluation.answers import power_flow_as_json
 from coordinator.lab.evaluation.result import RunResult
 from coordinator.lab.simulator.simulate import Simulation, simulate_scenario
 from coordinator.lab.simulator.subscriber import Subscriber
-from coordinator.show.figures.profile_figures import draw_angles, find_profile
+from coordinator.show.figures.profile_figures import describe_ungrounded, draw_angles, find_profile
 from coordinator.show.figures.style import styled
 from coordinator.show.report.grid_text import format_state
 from coordinator.show.report.run_files import write_report
@@ -25,9 +26,13 @@ from coordinator.show.report.text import format_verdict
 from coordinator.show.web.drawing import draw_scenario, draw_states
 from coordinator.show.web.moment import Moments, encode_json
 from coordinator.show.web.shown_tables import select_rows
-from coordinator.watch.observe.grid_tables import GridTables
+from coordinator.watch.observe.grid_tables import GridTables, Tables
+from coordinator.watch.observe.summary import summarise
 from coordinator.watch.observe.watcher import Watcher
+from dsse_core.power_flow.newton_raphson import solve_power_flow
+from dsse_core.results.results import results_of_power_flow
 from scenarios.faults.faults import change_links
+from tests.support.ieee_feeders import load_feeder
 from tests.support.phases import DEEP
 from tests.support.scenario_with_phases import make_scenario
 
@@ -126,3 +131,18 @@ def test_the_page_without_a_scenario_draws_each_bus_once(watcher: Watcher):
     assert sorted(drawn["id"]) == sorted(bus.id for bus in SCENARIO.network.buses)
     assert drawn["areas"][drawn["id"].index(671)] == ["east", "head", "west"]
     assert len(content["buses"]["id"]) == sum(len(area.network.buses) for area in SCENARIO.partition.areas)
+
+
+def test_voltages_to_ground_are_not_judged_in_parts_without_ground():
+    network = load_feeder("4bus-yd")  # a delta winding feeds buses 3 and 4
+    buses = results_of_power_flow(solve_power_flow(network)).buses
+    nothing: dict[str, Any] = {
+        "meter": [],
+        "status": [],
+        "normalised_residual": np.zeros(0),
+        "fresh": np.zeros(0, bool),
+    }
+    assert summarise(Tables(buses, None, nothing), None).voltage.total == buses.grounded.sum() < len(buses)
+    names = ", ".join(map(str, network.gauge.ungrounded))
+    assert f"Bus {names} have no path to ground" in describe_ungrounded(network)
+    assert describe_ungrounded(SCENARIO.network) == ""

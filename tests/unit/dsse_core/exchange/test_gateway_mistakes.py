@@ -51,7 +51,7 @@ def test_the_ratio_of_a_sign_is_half_the_difference_of_the_least_sums_of_squares
     area, turned = whole_grid(), multiply(-1.0)
     loads = expect_loads(area)
     model = build_area_model(area, turned, area.reference[0] if area.reference else None)
-    at = {(m.meter.kind, m.meter.bus): k for k, m in enumerate(turned) if m.meter.kind.of_injection}
+    at = {(m.meter.kind, m.meter.bus, m.meter.phases): k for k, m in enumerate(turned) if m.meter.kind.of_injection}
     sign = np.array([-1.0 if is_power(m) else 1.0 for m in turned])
     flat = np.concatenate([np.zeros(len(area.network.buses)), np.ones(len(area.network.buses))])
 
@@ -116,11 +116,20 @@ def test_a_feeder_without_supply_is_no_unit(seed: int):
 
 def test_loads_have_one_sign_of_q_and_sources_none():
     loads, network = expect_loads(whole_grid()), SCENARIO.network
-    assert (MeasurementKind.Q_INJECTION, 1) not in loads  # the substation
-    assert loads[MeasurementKind.Q_INJECTION, 4].mean == 0.0  # a generator
-    assert loads[MeasurementKind.Q_INJECTION, 5].mean == pytest.approx(-0.85 * network.bus(5).q_load)
-    assert loads[MeasurementKind.P_INJECTION, 5].mean == 0.0
-    assert (MeasurementKind.P_INJECTION, 6) not in loads  # nothing there
+    assert (MeasurementKind.Q_INJECTION, 1, "") not in loads  # the substation
+    assert loads[MeasurementKind.Q_INJECTION, 4, ""].mean == 0.0  # a generator
+    assert loads[MeasurementKind.Q_INJECTION, 5, ""].mean == pytest.approx(-0.85 * network.bus(5).q_load)
+    assert loads[MeasurementKind.P_INJECTION, 5, ""].mean == 0.0
+    assert (MeasurementKind.P_INJECTION, 6, "") not in loads  # nothing there
+
+
+def test_loads_of_phases_are_expected_at_their_nodes_and_between_two_of_either_sign():
+    scenario = load_scenario("ieee13")
+    loads = {place: load for area in scenario.partition.areas for place, load in expect_loads(area).items()}
+    q = {load.phases: load.s.imag for load in scenario.network.loads if load.bus == 675}
+    assert loads[MeasurementKind.Q_INJECTION, 675, "a"].mean == pytest.approx(-0.85 * q["a"])
+    assert loads[MeasurementKind.Q_INJECTION, 646, "b"].mean == 0.0  # a leg from b to c
+    assert (MeasurementKind.Q_INJECTION, 684, "a") not in loads
 
 
 @pytest.mark.parametrize("shift", [0.5, 2.0, 5.0])

@@ -15,11 +15,14 @@ from dsse_core.exchange.boundary_load import (
     scheduled_load_messages,
     stand_in_for,
 )
+from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.loads import Load
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Network
 from dsse_core.power_flow.newton_raphson import solve_power_flow
+from tests.support.ieee_feeders import load_feeder
+from tests.support.ieee_feeders.placing import cut_at
 from tests.support.phases import AREAS, DEEP, KIND, RING, TIE, make_feeder
 
 
@@ -102,3 +105,21 @@ def test_a_stand_in_has_the_power_of_each_phase():
     y = np.linalg.lstsq(found.R, found.z, rcond=None)[0]
     assert y[: boundary.n_powers] == pytest.approx([0.1, 0.05, -0.2, 0.3])
     assert not found.R[:, boundary.n_powers :].any()
+
+
+@pytest.mark.parametrize("name", ["dy", "yd", "grdyd"])
+def test_a_bank_of_opendss_carries_unequal_loads_to_other_phases(name: str):
+    """The loads of each phase are 30, 50 and 70 % of the feeder's: what is left are losses and voltage drop."""
+    feeder = load_feeder(f"4bus-{name}")
+    network = replace(
+        feeder, loads=tuple(replace(load, s=k * load.s) for load, k in zip(feeder.loads, (0.3, 0.5, 0.7), strict=True))
+    )
+    partition = build_partition(network, cut_at(network, (2,)))
+    (child,) = (area for area in partition.areas if area.parent)
+    flow = solve_power_flow(network)
+    v = (flow.vm * np.exp(1j * flow.va))[partition.rows_of_nodes[child.name]]
+    parent, nodes = child.neighbours[0].area, child.boundary_nodes[child.neighbours[0].area]
+    power = (v * (build_admittance(child.network).ybus @ v).conj())[nodes]
+    stated = np.array([load.s for load in scheduled_load_messages(partition)[parent][child.name]])
+    of_phase = [load.s for load in own_net_loads(child)][-3:]  # at the last bus, where all loads are
+    assert abs(stated - power).max() < 0.16 * abs(power).max() < 0.25 * abs(power).max() < abs(of_phase - power).max()
