@@ -35,6 +35,7 @@ from dsse_core.grid.network import Control
 from dsse_core.grid.partition import Area
 from dsse_core.linear.area_model import build_area_model
 from dsse_core.linear.boundary_information import BoundaryInformation
+from dsse_core.linear.contributions import VoltageReadings
 
 KIND = MeasurementKind
 POWERS = (KIND.P_INJECTION, KIND.Q_INJECTION, KIND.P_FLOW, KIND.Q_FLOW)
@@ -264,7 +265,8 @@ class _Rows:
     def solve(self, hypothesis: _Hypothesis, x: np.ndarray, received: Received) -> float:
         """M: the least sum of squares; infinity where no state is found."""
         assert self._model.linear  # built here, so that the next model keeps the part that depends on meters only
-        model = self._model.with_readings(self._list(hypothesis))
+        further = () if received else (VoltageReadings(x[: 2 * self._n_nodes]),)  # an area alone is not determined
+        model = self._model.with_readings(self._list(hypothesis), further)
         try:
             for _ in range(MOST_STEPS):
                 step = model.linear.step(x, received)
