@@ -51,6 +51,7 @@ TYPES = {
     "BranchSelection": '`"all"` or list of texts',
     "Buses": "tables, or lists",
     "BusSelection": '`"all"` or list of integers, or texts such as `"611.c"`',
+    "Exponents": "two numbers, or a pair for each leg",
     "Matrix": "number, or rows of numbers",
     "Milliseconds": "number >= 0",
     "Moment": "number >= 0",

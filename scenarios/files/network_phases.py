@@ -46,6 +46,7 @@ from scenarios.files.network_tables import (
 
 POSITIVE = -1e-9  # least eigenvalue of a resistance, of its largest entry: below it the line would produce power
 SINGULAR = 1e12  # condition of an impedance whose inverse has no digits
+MOST_OFF_NOMINAL = 4 / 3  # of a winding: below 3^0.5, by which one given to ground instead of between lines is off
 HALVES = ("centre-tapped",)  # the winding of a unit with two halves, s1 and s2
 LAGGING = (1, 7)  # clocks of a wye and a delta whose low side lags by 30 degrees, and half a turn
 HALF_TURN = (5, 6, 7)  # clocks of windings whose ends are exchanged
@@ -118,7 +119,21 @@ def read_phase_parts(file: NetworkFile, kv: Mapping[int, float], phases: Mapping
         if source.kind == "voltage":
             problem = "no source but the slack holds the voltage of phases; use kind 'power' with p_mw and q_mvar"
             place(f"source[{k}]").refuse("kind", problem)
+        elif source.kind == "slack":
+            _check_phases_of_slack(source.bus, place(f"source[{k}]"))
     return parts
+
+
+def _check_phases_of_slack(bus: int, place: _Place) -> None:
+    """Refuses a substation without a phase of a, b, c that other buses have; banks make s1 and s2."""
+    held = {*list_phases(place.phases.get(bus, ""))}
+    others = {phase: of for of, phases in list(place.phases.items())[::-1] for phase in list_phases(phases)}
+    if held and (lacking := sorted({*others} & {*"abc"} - held)):
+        beyond = ", ".join(f"{others[phase]}.{phase}" for phase in lacking)
+        problem = (
+            f"the substation holds phase {', '.join(sorted(held))} of bus {bus} only, and the network has {beyond}"
+        )
+        place.refuse("bus", f"{problem}; give a bus with all phases")
 
 
 def _add(parts: PhaseParts, branch: BranchTable, primitive: Primitive) -> None:
@@ -254,6 +269,12 @@ def _read_side(winding: WindingTable, table: TransformerTable, k: int, place: _P
     if k == 0 and clock not in clocks:
         known = " or ".join(map(str, clocks))
         place.refuse("clock", f"is {clock}; of {winding.connection!r} to {other.connection!r} it is {known}")
+    nominal = place.kv.get(winding.bus, winding.kv)
+    if not 1 / MOST_OFF_NOMINAL <= winding.kv / nominal <= MOST_OFF_NOMINAL:
+        problem = (
+            f"is {winding.kv:g}, and bus {winding.bus} has base_kv {nominal:g}; both are between lines, correct one"
+        )
+        place.refuse(f"{key}.kv", problem)
     is_low = winding.kv < other.kv or (winding.kv == other.kv and k == 1)
     connection: Connection = "grounded"
     legs: tuple[str, ...] | None = None
@@ -271,7 +292,7 @@ def _read_side(winding: WindingTable, table: TransformerTable, k: int, place: _P
         place.refuse(f"{key}.connection", f"{winding.connection!r} needs three phases; say where each winding stands")
     if len(place.problems) > before:
         return Side(phases, (), ())
-    turns = winding.kv / place.kv.get(winding.bus, winding.kv) * np.asarray(winding.taps)
+    turns = winding.kv / nominal * np.asarray(winding.taps)
     turns = -turns if k == 1 and clock in HALF_TURN else turns
     n = len(list_phases(phases)) if legs is None else len(legs)
     if turns.ndim and len(turns) != n:
@@ -324,14 +345,18 @@ def _read_legs(table: LoadTable, place: _Place) -> list[Load]:
         powers.append(np.zeros(len(legs)) if values is None else np.array(values))
         if len(powers[-1]) != len(legs):
             place.refuse(key, f"has {len(powers[-1])} numbers; phases {table.phases!r} are {len(legs)} legs")
-    place.check(EXPONENT, "exponents", table.exponents)
+    exponents = np.array(table.exponents)
+    if exponents.ndim == 1:
+        exponents = np.broadcast_to(exponents, (len(legs), 2))
+    elif len(exponents) != len(legs):
+        place.refuse("exponents", f"has {len(exponents)} pairs; phases {table.phases!r} are {len(legs)} legs")
+    place.check(EXPONENT, "exponents", exponents)
     if table.kv is not None:
         place.check(BASE_VOLTAGE, "kv", table.kv)
     if len(place.problems) > before:
         return []
-    of_p, of_q = table.exponents
     loads = []
-    for leg, p, q in zip(legs, *powers, strict=True):
+    for leg, p, q, (of_p, of_q) in zip(legs, *powers, exponents.tolist(), strict=True):
         nominal = place.kv[table.bus] / math.sqrt(3) * _find_nominal_across(leg)
         share = 1.0 if table.kv is None else nominal / table.kv
         s = complex(p * share**of_p, q * share**of_q) / 1000 / (place.base_mva / 3)

@@ -71,6 +71,18 @@ Matrix = Annotated[
 Taps = Annotated[
     Annotated[Positive, Tag("[number]")] | Annotated[list[Positive], Tag("[rows]")], Discriminator(_shape_of)
 ]
+
+
+def _shape_of_pairs(value: object) -> str:
+    """The member of ``Exponents`` that ``value`` is meant to be, as its tag."""
+    return "[rows]" if isinstance(value, list) and value and isinstance(value[0], list) else "[pair]"
+
+
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Exponents = Annotated[
+    Annotated[Pair, Tag("[pair]")] | Annotated[list[Pair], Tag("[rows]")], Discriminator(_shape_of_pairs)
+]
+"""Of P and of Q, of all legs of a load, or a pair for each leg."""
 Form = TypeVar("Form", "BranchTable", "BranchColumns")
 
 
@@ -185,12 +197,12 @@ class LoadTable(Table):
     phases: Phases = Field(description='a leg, "bc" between b and c, "b" from b to ground; or several, "ab,bc,ca"')
     """The legs: `"bc"` is a leg between b and c, `"b,c"` two legs to ground, `"ab,bc,ca"` a delta."""
     p_kw: list[float] | None = None
-    """Power drawn by each leg; 0 if left out."""
+    """Power drawn by each leg, else 0."""
     q_kvar: list[float] | None = None
     """Reactive power drawn by each leg, negative for a capacitor; 0 if left out."""
-    exponents: list[float] = Field(default=[0.0, 0.0], min_length=2, max_length=2, description="of P and of Q")
-    """Exponents of P and of Q: at another voltage the legs draw that share of it to these powers. 0 is constant power,
-    1 constant current, 2 constant impedance.
+    exponents: Exponents = Field(default=[0.0, 0.0], description="of P and of Q, or such a pair for each leg")
+    """Exponents of P and of Q, or a pair for each leg: at another voltage a leg draws that share of it to these powers.
+    0 is constant power, 1 constant current, 2 constant impedance.
     """
     kv: Positive | None = Field(default=None, description="voltage across a leg at which it draws these powers")
     """Voltage across a leg at which it draws these powers; the nominal one if left out."""

@@ -179,6 +179,20 @@ def test_a_load_rated_at_the_nominal_voltage_across_it_draws_what_one_without_ra
     assert by_both[1].loads[0].s == pytest.approx(by_both[0].loads[0].s, rel=1e-12)
 
 
+def test_each_leg_of_a_load_may_have_exponents_of_its_own(tmp_path: Path) -> None:
+    one = '{ bus = 3, phases = "ca,a", p_kw = [200.0, 20.0], q_kvar = [100.0, 0.0], kv = 10.0'
+    apart = "".join(
+        f'{{ bus = 3, phases = "{leg}", p_kw = [{p}], q_kvar = [{q}], kv = 10.0, exponents = {of} }}, '
+        for leg, p, q, of in (("ca", 200.0, 100.0, [1.0, 2.0]), ("a", 20.0, 0.0, [0.0, 0.5]))
+    )
+    given = '{ bus = 3, phases = "ca,a", p_kw = [200.0, 20.0], q_kvar = [100.0, 0.0] },'
+    by_both = [
+        load(tmp_path, changed((given, text))).loads
+        for text in (f"{one}, exponents = [[1.0, 2.0], [0.0, 0.5]] }},", apart)
+    ]
+    assert by_both[0] == by_both[1]
+
+
 def test_centre_tapped_units_feed_two_halves(tmp_path: Path) -> None:
     house = '{ id = 5, base_kv = 0.208, phases = "s1s2" }, ]'
     unit = """[[transformer]]
@@ -307,6 +321,10 @@ def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
             ("exponents = [2.0, 2.0]", "exponents = [2.0, 200.0]"),
             "load[2].exponents is 200; it must lie between -10 and 10",
         ),
+        (
+            ("exponents = [2.0, 2.0]", "exponents = [[2.0, 2.0], [0.0, 0.0]]"),
+            "load[2].exponents: has 2 pairs; phases 'a,b,c' are 3 legs",
+        ),
         (('{ bus = 3, phases = "ca,a"', '{ bus = 9, phases = "ca,a"'), "load[1].bus: bus 9 is not defined"),
         (
             ('connection = "delta"', 'connection = "star"'),
@@ -323,6 +341,14 @@ def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
         (
             ("r_percent = 1.0\nx_percent = 6.0", "r_percent = 0.0\nx_percent = 0.0"),
             "transformer[1].x_percent: the impedance of a unit is 0 p.u.; it must lie between 1e-09",
+        ),
+        (
+            ('bus = 4, phases = "abc", kv = 4.0', 'bus = 4, phases = "abc", kv = 2.3'),
+            "transformer[1].windings[2].kv: is 2.3, and bus 4 has base_kv 4; both are between lines, correct one",
+        ),
+        (
+            ('{ bus = 1, kind = "slack"', '{ bus = 3, kind = "slack"'),
+            "source[1].bus: the substation holds phase a, c of bus 3 only, and the network has 1.b; give a bus with",
         ),
         (
             ('kind = "power"', 'kind = "voltage", vm_pu = 1.0'),
