@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import queue
 import threading
+from collections import deque
 from typing import Any, NamedTuple
+
+from agents.runtime.inbox import WakeUp
 
 MAX_WAITING = 100_000  # updates, and
 MOST_BYTES = 64 * 2**20  # of messages in them
@@ -17,15 +19,21 @@ class _Sized(NamedTuple):
     item: Any
 
 
-class Updates(queue.SimpleQueue[Any]):
+class Updates:
     """Updates from bus and processes in the order of arrival; ``most`` wait, with ``most_bytes`` of messages."""
 
     def __init__(self, most: int = MAX_WAITING, most_bytes: int = MOST_BYTES) -> None:
-        super().__init__()
+        self._waiting: deque[Any] = deque()
+        self._wake_up = WakeUp()
         self._most, self._most_bytes = most, most_bytes
         self._lock = threading.Lock()
         self._bytes = 0  # of messages that wait
         self._dropped = 0
+
+    def put(self, item: Any) -> None:
+        """Adds ``item``, however much waits."""
+        self._waiting.append(item)
+        self._wake_up.announce()
 
     def offer(self, item: Any, *, sent_once: bool = False, size: int = 0) -> None:
         """Adds ``item``, or drops and counts it where too much waits; items that heartbeats repeat are dropped first.
@@ -34,7 +42,7 @@ class Updates(queue.SimpleQueue[Any]):
         """
         with self._lock:
             share = 2 if sent_once else 1
-            if self.qsize() < self._most * share and self._bytes + size <= self._most_bytes * share:
+            if len(self._waiting) < self._most * share and self._bytes + size <= self._most_bytes * share:
                 self._bytes += size
                 self.put(_Sized(size, item) if size else item)  # within the lock: in the order of arrival
             else:
@@ -45,11 +53,8 @@ class Updates(queue.SimpleQueue[Any]):
 
         Items that arrive during the call are left for the next one, so that the call ends under a flood of messages.
         """
-        try:
-            first = self.get(timeout=max(0.0, timeout_s))
-        except queue.Empty:
-            return []
-        items = [first, *(self.get_nowait() for _ in range(self.qsize()))]
+        self._wake_up.wait(timeout_s)
+        items = [self._waiting.popleft() for _ in range(len(self._waiting))]
         sized = [item for item in items if isinstance(item, _Sized)]
         if not sized:
             return items

@@ -1,5 +1,7 @@
 """The inbox keeps the newest of each slot; the lossy link drops the same messages in every run."""
 
+import random
+import signal
 import threading
 import time
 
@@ -30,6 +32,25 @@ def test_a_taker_wakes_when_updates_arrives():
     started = time.monotonic()
     assert inbox.take(30.0) == [1]
     assert time.monotonic() - started < 10.0
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="this system has no timer that sends signals")
+def test_a_signal_as_the_timeout_passes_does_not_prolong_the_wait():
+    inbox, began = Inbox(), time.monotonic()
+
+    def interrupt(*_):
+        assert time.monotonic() - began < 10.0, "the wait of a millisecond has no end"
+        signal.setitimer(signal.ITIMER_REAL, random.uniform(1e-5, 1e-3), 0.5)
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        interrupt()
+        for _ in range(500):
+            began = time.monotonic()
+            assert inbox.take(0.001) == []
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def test_a_flood_is_dropped():

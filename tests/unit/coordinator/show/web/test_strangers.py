@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -100,12 +101,13 @@ def test_a_flood_on_the_bus_does_not_make_more_moments(monkeypatch):
 
 
 def test_what_arrives_while_one_takes_waits_for_the_next_time():
-    class Endless(Updates):
-        def get_nowait(self):
-            self.put("more")
-            return super().get_nowait()
+    class Endless(deque):
+        def popleft(self):
+            updates.put("more")
+            return super().popleft()
 
-    updates = Endless()
+    updates = Updates()
+    updates._waiting = Endless()
     for _ in range(3):
         updates.put("first")
     assert updates.take(0.0) == ["first"] * 3
