@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from coordinator.show.figures.feeder_layout import Layout
 from coordinator.show.figures.labels import label_points
-from coordinator.show.figures.style import INK, PAPER, fix_layout
+from coordinator.show.figures.style import GREY, INK, PAPER, fix_layout
 from dsse_core.grid.network import Branch, Network
 from dsse_core.grid.partition import Partition
 
@@ -19,6 +19,7 @@ MAX_DOTS = 600  # buses that are drawn as dots
 MAX_BUS_NAMES = 60
 SMALLEST_IN, LARGEST_IN = 3.0, 16.0
 MANY_LABELS = 150  # more labels need a larger figure
+THINNER = {1: 0.36, 2: 0.64, 3: 1.0}  # width of a line with so many phases, by that of three
 
 
 def new_diagram(layout: Layout, n_label: int) -> tuple[Figure, Axes]:
@@ -50,8 +51,47 @@ def find_corners(network: Network, layout: Layout, branch: Branch) -> np.ndarray
     return np.array([one, (one[0], other[1]), other])
 
 
-def line_width(n_bus: int) -> float:
-    return 2.5 if n_bus <= MAX_BUS_NAMES else 1.2
+def line_widths(network: Network) -> np.ndarray:
+    """Width of the line of each branch in service, points, (n_active,): of one with fewer than three phases less."""
+    widest = 2.5 if len(network.buses) <= MAX_BUS_NAMES else 1.2
+    if network.table.nodes.is_balanced:
+        return np.full(len(network.table.active), widest)
+    return widest * np.array([THINNER[count] for count in _count_phases(network)])
+
+
+def _count_phases(network: Network) -> list[int]:
+    """Number of phases, at most 3, of each branch in service of a network with phases."""
+    n, ports = len(network.table.active), network.table.ports
+    return [min(int(count), 3) for count in np.bitwise_count(ports.sets[:n])]
+
+
+def show_phases(axes: Axes, network: Network, layout: Layout) -> None:
+    """Explains the widths of lines, and names the phases of branches that lack some; nothing of a balanced network."""
+    if network.table.nodes.is_balanced:
+        return
+    counts, widest = _count_phases(network), float(line_widths(network).max())
+    for count in sorted(set(counts), reverse=True):
+        label = {3: "three phases", 2: "two phases", 1: "one phase"}[count]
+        axes.plot([], [], color=GREY, linewidth=widest * THINNER[count] / max(THINNER[n] for n in counts), label=label)
+    if len(network.buses) > MAX_BUS_NAMES:
+        return
+    for branch, count in zip(network.active_branches, counts, strict=True):
+        if count < 3 and branch.primitive:
+            corners = find_corners(network, layout, branch)
+            middle = (corners[-2] + corners[-1]) / 2
+            written = axes.annotate(
+                branch.primitive.from_phases,
+                tuple(middle.tolist()),
+                (0, -2),
+                textcoords="offset points",
+                ha="center",
+                va="top",
+                fontsize=7,
+                fontstyle="italic",
+                color=INK,
+                zorder=6,
+            )
+            written.set_in_layout(False)
 
 
 def mark_size(n_bus: int) -> float:

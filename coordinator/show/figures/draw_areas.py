@@ -11,10 +11,11 @@ from matplotlib.figure import Figure
 from coordinator.show.figures.diagram import (
     MAX_DOTS,
     find_corners,
-    line_width,
+    line_widths,
     mark_boundaries,
     new_diagram,
     number_buses,
+    show_phases,
 )
 from coordinator.show.figures.feeder_layout import Layout, lay_out
 from coordinator.show.figures.plot_text import plot_text
@@ -41,6 +42,7 @@ def make_areas_figure(partition: Partition) -> Figure:
     colours = choose_colours(partition)
     _draw_branches(axes, partition, layout, colours)
     mark_boundaries(axes, partition, layout)
+    show_phases(axes, network, layout)
     figure.legend(loc="outside lower right", ncols=2, fontsize="small")
     number_buses(axes, partition, layout)
     if len(partition.areas) <= MAX_AREA_NAMES:
@@ -49,13 +51,17 @@ def make_areas_figure(partition: Partition) -> Figure:
 
 
 def _draw_branches(axes: Axes, partition: Partition, layout: Layout, colours: dict[str, str]) -> None:
-    n_bus = len(layout.place)
+    n_bus, network = len(layout.place), partition.network
+    width = dict(zip(network.active_branch_ids, line_widths(network).tolist(), strict=True))
     for area in partition.areas:
         colour = colours[area.name]
-        lines = [find_corners(partition.network, layout, branch) for branch in area.network.active_branches]
+        branches = area.network.active_branches
+        lines = [find_corners(network, layout, branch) for branch in branches]
         for n_corner, style in ((3, "solid"), (2, "dashed")):
-            chosen = [line for line in lines if len(line) == n_corner]
-            axes.add_collection(LineCollection(chosen, colors=colour, linewidths=line_width(n_bus), linestyles=style))
+            chosen = [k for k, line in enumerate(lines) if len(line) == n_corner]
+            widths = [width[branches[k].id] for k in chosen]
+            drawn = LineCollection([lines[k] for k in chosen], colors=colour, linewidths=widths, linestyles=style)
+            axes.add_collection(drawn)
         if n_bus <= MAX_DOTS:
             owned = _rows_owned(partition, area)
             axes.plot(*layout.place[owned].T, linestyle="none", marker="o", markersize=4, color=colour)

@@ -9,8 +9,17 @@ from matplotlib.axes import Axes
 
 from coordinator.lab.evaluation.comparison import Comparison
 from coordinator.lab.evaluation.result import RunOutcome
-from coordinator.show.figures.plot_text import plot_text
-from coordinator.show.figures.style import CENTRALISED, DECENTRALISED, GREY, MAX_VECTOR, SKY, Drawing, new_figure
+from coordinator.show.figures.plot_text import name_places, plot_text
+from coordinator.show.figures.style import (
+    CENTRALISED,
+    DECENTRALISED,
+    GREY,
+    MAX_VECTOR,
+    SKY,
+    Drawing,
+    new_figure,
+    style_by_phase,
+)
 from dsse_core.grid.partition import Partition
 from dsse_core.results.units import wrap_degrees
 
@@ -26,6 +35,7 @@ PANELS = ("magnitude {} (p.u.)", "angle {} (degrees)")
 def draw_errors(outcome: RunOutcome) -> Drawing:
     """Figure of both estimates' errors; without a truth, of the decentralised estimate's gap to the centralised one."""
     comparison, order = outcome.comparison, order_nodes(outcome.comparison.partition)
+    phase = comparison.partition.network.table.nodes.phase[order]
     known = comparison.knows_truth
     reference = comparison.truth if known else comparison.centralised
     what = "error" if known else "gap"
@@ -37,8 +47,11 @@ def draw_errors(outcome: RunOutcome) -> Drawing:
         _draw_band(axis, sigma)
         if known:
             central = _difference(of, comparison.centralised, comparison.truth)[order]
-            _draw_marks(axis, central, "centralised estimate", CENTRALISED)
-        _draw_marks(axis, error, "decentralised estimate", DECENTRALISED)
+            _draw_marks(axis, central, CENTRALISED | {"label": "centralised estimate"})
+        for chosen, style in style_by_phase("decentralised estimate", DECENTRALISED, phase):
+            of_phase = np.full(len(error), np.nan)
+            of_phase[chosen] = error[chosen]
+            _draw_marks(axis, of_phase, style)
         axis.axhline(0, color="0.5", linewidth=0.6)
         axis.set_ylabel(panel.format(what))
         label_nodes(axis, comparison.partition, order, named=axis is axes[-1])
@@ -66,10 +79,10 @@ def _draw_band(axis: Axes, sigma: np.ndarray) -> None:
     )
 
 
-def _draw_marks(axis: Axes, values: np.ndarray, label: str, style: dict[str, Any]) -> None:
+def _draw_marks(axis: Axes, values: np.ndarray, style: dict[str, Any]) -> None:
     smaller = {"markersize": 2.5} if len(values) > 200 else {}
     rasterized = len(values) > MAX_VECTOR
-    axis.plot(np.arange(len(values)), values, linestyle="none", label=label, rasterized=rasterized, **style | smaller)
+    axis.plot(np.arange(len(values)), values, linestyle="none", rasterized=rasterized, **style | smaller)
 
 
 def _count_inside(error: np.ndarray, sigma: np.ndarray) -> tuple[int, int]:
@@ -79,13 +92,14 @@ def _count_inside(error: np.ndarray, sigma: np.ndarray) -> tuple[int, int]:
 
 
 def _describe(comparison: Comparison, inside: list[tuple[int, int]]) -> str:
+    what = name_places(comparison.partition.network)[0]
     of_which = "to the truth" if comparison.knows_truth else "to the centralised estimate (the truth is not known)"
     counts = " and ".join(
         f"{n} of {total} {name}" for (n, total), name in zip(inside, ("magnitudes", "angles"), strict=True)
     )
     return (
-        f"Difference of each bus's estimate {of_which}, and the band of ±{BAND:g} standard deviations that the areas "
-        f"themselves state; {counts} lie within. Of normal errors 95 % do."
+        f"Difference of each {what}'s estimate {of_which}, and the band of ±{BAND:g} standard deviations that the "
+        f"areas themselves state; {counts} lie within. Of normal errors 95 % do."
     )
 
 
@@ -97,35 +111,42 @@ def order_nodes(partition: Partition) -> np.ndarray:
 
 
 def label_nodes(axis: Axes, partition: Partition, order: np.ndarray, named: bool = True) -> None:
-    """Label the axis with bus numbers and phases, shade every second area and mark boundary buses.
+    """Label the axis with bus numbers, shade every second area and mark boundary buses.
 
-    ``named``: with area names and a label of the axis. Bus numbers are thinned out, and the other marks left out, where
-    there are too many."""
-    buses = np.array(partition.network.node_buses)[order].tolist()
-    names = [partition.network.node_names[row] for row in order.tolist()]
+    A bus stands at the middle of its nodes. ``named``: with area names and a label of the axis. Bus numbers are thinned
+    out, and the other marks left out, where there are too many."""
+    of_nodes = np.array(partition.network.node_buses)[order]
+    starts_bus = np.flatnonzero(np.append(True, of_nodes[1:] != of_nodes[:-1]))
+    ends_bus = np.append(starts_bus[1:], len(of_nodes)) - 1
+    buses, middle = of_nodes[starts_bus].tolist(), ((starts_bus + ends_bus) / 2).tolist()
+    names, n = list(map(str, buses)), len(of_nodes)
     owners = [partition.owner_of_bus[bus] for bus in buses]
     letters = max(map(len, names)) + 1
     step = -(-len(names) // min(MAX_LABELS, LETTERS_OF_AXIS // letters))
-    axis.set_xticks(range(0, len(names), step), names[::step], fontsize="small")
-    axis.set_xlim(-0.7, len(names) - 0.3)
+    shown, least = [0], letters * n / LETTERS_OF_AXIS  # between buses, of which some have few nodes
+    for k in range(step, len(names), step):
+        shown += [k] if middle[k] - middle[shown[-1]] >= least else []
+    axis.set_xticks([middle[k] for k in shown], [names[k] for k in shown], fontsize="small")
+    axis.set_xlim(-0.7, n - 0.3)
     axis.grid(axis="y", alpha=0.3)
     ends = [k for k, owner in enumerate(owners) if k + 1 == len(owners) or owners[k + 1] != owner]
     starts = [0, *(end + 1 for end in ends[:-1])]
-    for number, (first, last) in enumerate(zip(starts, ends, strict=True)):
+    for number, (first_bus, last_bus) in enumerate(zip(starts, ends, strict=True)):
+        first, last = int(starts_bus[first_bus]), int(ends_bus[last_bus])
         if number % 2 and len(ends) <= MAX_SHADED:
             axis.axvspan(first - 0.5, last + 0.5, color=GREY, alpha=0.12, linewidth=0)
         if named and len(ends) <= MAX_AREA_NAMES:
-            name = plot_text(owners[first], max(3, LETTERS_OF_AXIS * (last + 1 - first) // len(names)))
+            name = plot_text(owners[first_bus], max(3, LETTERS_OF_AXIS * (last + 1 - first) // n))
             place = ((first + last) / 2, 0)
             axis.annotate(
                 name, place, (0, 4), ("data", "axes fraction"), "offset points", ha="center", fontsize="small"
             )
     boundaries = set(partition.boundaries if len(partition.boundaries) <= MAX_BOUNDARIES else ())
-    for number, bus in enumerate(buses):
+    for x, bus in zip(middle, buses, strict=True):
         if bus in boundaries:
-            axis.axvline(number, color=GREY, linestyle=":", linewidth=1)
+            axis.axvline(x, color=GREY, linestyle=":", linewidth=1)
     if named:
         marked = ["dotted: boundary bus"] * bool(boundaries)
         marked += ["shaded: every second area"] * (1 < len(ends) <= MAX_SHADED)
-        what = "bus" if partition.network.table.nodes.is_balanced else "bus and phase"
+        what = "bus" if partition.network.table.nodes.is_balanced else "bus, a mark for each phase"
         axis.set_xlabel(f"{what} ({'; '.join(marked)})" if marked else f"{what}, area after area")

@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from coordinator.lab.evaluation.convergence import gap_history
 from coordinator.lab.evaluation.result import RunOutcome
-from coordinator.show.figures.plot_text import plot_text
+from coordinator.show.figures.plot_text import name_places, plot_text
 from coordinator.show.figures.style import (
     COLOURS,
     GREY,
@@ -40,7 +40,7 @@ class GapCourse:
 
     Columns: time since the scan (s), gap in magnitude (p.u.) and angle (degrees). A gap is nan where it is not known;
     that of all areas, until each has published a state. ``end_s``: time of the verdict. ``sigma``: the medians of the
-    standard deviations of all buses, in the same units, as a scale for the gap.
+    standard deviations of all buses, in the same units, as a scale for the gap. ``places``: the words for one and many.
     """
 
     areas: Mapping[str, np.ndarray]
@@ -50,6 +50,7 @@ class GapCourse:
     virtual: bool
     consensus: bool
     why_none: str
+    places: tuple[str, str]
 
     @property
     def first_s(self) -> float | None:
@@ -67,7 +68,8 @@ def find_course(outcome: RunOutcome) -> GapCourse:
     of_buses = outcome.comparison.sigma
     sigma = _median(of_buses.vm), _median(np.degrees(of_buses.va))
     why = _why_no_gap(outcome)
-    return GapCourse(areas, _find_largest(areas), end, sigma, virtual, outcome.verdict.consensus, why)
+    places = name_places(outcome.scenario.network)
+    return GapCourse(areas, _find_largest(areas), end, sigma, virtual, outcome.verdict.consensus, why, places)
 
 
 def _median(values: np.ndarray) -> float:
@@ -121,9 +123,9 @@ def draw_gaps_of(courses: Mapping[str, GapCourse]) -> Drawing:
     _finish(axes, list(courses.values()))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize="small")
     caption = (
-        "The largest difference to the centralised estimate of the same readings, of all areas and all buses that they "
-        "see, against the time since the scan. A line begins when every area has published a state, and ends with the "
-        "verdict."
+        "The largest difference to the centralised estimate of the same readings, of all areas and all "
+        f"{next(iter(courses.values())).places[1]} that they see, against the time since the scan. A line begins when "
+        "every area has published a state, and ends with the verdict."
     )
     return Drawing("gap", "Gap to the centralised estimate by strategy", caption, figure)
 
@@ -164,7 +166,8 @@ def _finish(axes: Sequence[Axes], courses: Sequence[GapCourse]) -> None:
     for column, (axis, label) in enumerate(zip(axes, PANELS, strict=True), start=1):
         axis.set_ylabel(f"largest gap,\n{label}")
         if any(np.isfinite(line.get_ydata()).any() for line in axis.lines):
-            _scale_gaps(axis, _median(np.array([course.sigma[column - 1] for course in courses])))
+            sigma = _median(np.array([course.sigma[column - 1] for course in courses]))
+            _scale_gaps(axis, sigma, f"standard deviation (median {courses[0].places[0]})")
         else:
             reasons = {course.why_none for course in courses}
             write_instead(axis, reasons.pop() if len(reasons) == 1 else "no gap is known")
@@ -180,11 +183,13 @@ def _finish(axes: Sequence[Axes], courses: Sequence[GapCourse]) -> None:
         axes[-1].xaxis.set_minor_formatter(NullFormatter())
 
 
-def _scale_gaps(axis: Axes, sigma: float) -> None:
-    """Scale the axis between powers of ten, so that at least two have labels; ``sigma`` as a line, if it is known."""
+def _scale_gaps(axis: Axes, sigma: float, label: str) -> None:
+    """Scale the axis between powers of ten, so that at least two have labels; ``sigma`` as a line called ``label``, if
+    it is known.
+    """
     axis.set_yscale("log")
     if sigma > 0:
-        axis.axhline(sigma, color=PURPLE, linestyle=(0, (5, 2)), linewidth=1.2, label="standard deviation (median bus)")
+        axis.axhline(sigma, color=PURPLE, linestyle=(0, (5, 2)), linewidth=1.2, label=label)
     low, high = axis.get_ylim()
     axis.set_ylim(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)))
     axis.yaxis.set_major_formatter(format_power_of_ten)
@@ -202,8 +207,9 @@ def _why_no_gap(outcome: RunOutcome) -> str:
 
 def _describe(course: GapCourse) -> str:
     text = (
-        "The largest difference of each area to the centralised estimate of the same readings, over all buses that it "
-        "sees, after each state that it has published. Both axes are logarithmic; time counts from the scan."
+        "The largest difference of each area to the centralised estimate of the same readings, over all "
+        f"{course.places[1]} that it sees, after each state that it has published. Both axes are logarithmic; time "
+        "counts from the scan."
     )
     known = course.all_areas[~np.isnan(course.all_areas[:, 1])]
     if len(known) == 0:

@@ -13,15 +13,17 @@ from coordinator.lab.evaluation.result import RunOutcome
 from coordinator.show.figures.diagram import (
     MAX_DOTS,
     find_corners,
-    line_width,
+    line_widths,
     mark_boundaries,
     new_diagram,
     number_buses,
+    show_phases,
 )
 from coordinator.show.figures.feeder_layout import lay_out
 from coordinator.show.figures.profile_figures import describe_ungrounded
 from coordinator.show.figures.style import GREY, VERMILLION, Drawing
 from dsse_core.estimation.state_limits import OperatingLimits
+from dsse_core.grid.network import Network
 
 COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.15, 0.95, 256)))
 """Even steps of lightness, also for the colour-blind and for grey print; without the ends, which pages would hide."""
@@ -32,11 +34,11 @@ LEAST_SPAN = 0.01  # p.u. between the ends of the colours: a flat profile has on
 def draw_network(outcome: RunOutcome) -> Drawing:
     """Figure of the network; a branch has the colour of its ends' mean, grey where there is no fresh estimate.
 
-    A bus with phases has the colour of the lowest of them.
+    A bus with phases has the colour of the one that is nearest to a limit, or farthest beyond.
     """
     partition, network, limits = outcome.scenario.partition, outcome.scenario.network, outcome.scenario.operating_limits
     nodes = network.table.nodes
-    vm = np.fmin.reduceat(np.where(outcome.buses.fresh, outcome.comparison.decentralised.vm, np.nan), nodes.first)
+    vm = find_worst(network, np.where(outcome.buses.fresh, outcome.comparison.decentralised.vm, np.nan), limits)
     layout = lay_out(network)
     known = np.flatnonzero(~np.isnan(vm))
     ends = [int(known[np.argmin(vm[known])]), int(known[np.argmax(vm[known])])] if len(known) else []
@@ -44,11 +46,12 @@ def draw_network(outcome: RunOutcome) -> Drawing:
     scale = _find_scale(vm[known], limits)
     branches = network.active_branches
     lines = [find_corners(network, layout, branch) for branch in branches]
+    widths = line_widths(network)
     mean = (vm[network.table.f] + vm[network.table.t]) / 2
     for n_corner, style in ((3, "solid"), (2, "dashed")):
         for unknown in (False, True):
             chosen = [k for k, line in enumerate(lines) if len(line) == n_corner and np.isnan(mean[k]) == unknown]
-            drawn = LineCollection([lines[k] for k in chosen], linewidths=line_width(len(vm)), linestyles=style)
+            drawn = LineCollection([lines[k] for k in chosen], linewidths=widths[chosen], linestyles=style)
             if unknown:
                 drawn.set_color(GREY)
             else:
@@ -72,7 +75,8 @@ def draw_network(outcome: RunOutcome) -> Drawing:
         axes.scatter(x, y, s=4 * size, marker="^", zorder=4, **edges)
     axes.autoscale_view()
     mark_boundaries(axes, partition, layout, fill="none")
-    what = "magnitude" if nodes.is_balanced else "magnitude of the lowest phase"
+    show_phases(axes, network, layout)
+    what = "magnitude" if nodes.is_balanced else "magnitude of the worst phase"
     if len(known):
         figure.colorbar(
             dots,
@@ -88,10 +92,24 @@ def draw_network(outcome: RunOutcome) -> Drawing:
     number_buses(axes, partition, layout, [int(ids[row]) for row in ends])
     numbered = "boundary buses and those of the lowest and the highest voltage have their numbers"
     caption = f"Estimated voltage {what} on the one-line diagram; {numbered}. Dashed branches close loops."
+    if not nodes.is_balanced:
+        caption += (
+            " The worst phase of a bus is nearest to a limit, or farthest beyond. Thinner lines have fewer phases."
+        )
     caption += describe_ungrounded(network)
     if len(known) < len(vm):
         caption += f" Grey: {len(vm) - len(known)} buses without a fresh estimate."
     return Drawing("network", "Voltages in the network", caption, figure)
+
+
+def find_worst(network: Network, vm: np.ndarray, limits: OperatingLimits) -> np.ndarray:
+    """Returns for each bus the magnitude of the phase that is nearest to a limit, or farthest beyond, (n_bus,); nan
+    where no phase is known. ``vm`` (n_nodes,).
+    """
+    middle, first = (limits.lowest_vm + limits.highest_vm) / 2, network.table.nodes.first
+    low, high = np.fmin.reduceat(vm, first), np.fmax.reduceat(vm, first)
+    worst: np.ndarray = np.where(middle - low >= high - middle, low, high)
+    return worst
 
 
 def _find_scale(vm: np.ndarray, limits: OperatingLimits) -> Normalize:

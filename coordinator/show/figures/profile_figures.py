@@ -14,17 +14,15 @@ from coordinator.lab.evaluation.result import RunOutcome
 from coordinator.show.figures.feeder_profile import find_distances
 from coordinator.show.figures.style import (
     CENTRALISED,
+    COLOUR_OF_PHASE,
     DECENTRALISED,
-    GREEN,
-    GREY,
     LINES,
     MAX_VECTOR,
-    ORANGE,
     PURPLE,
-    SKY,
     TRUE,
     Drawing,
     new_figure,
+    style_by_phase,
 )
 from dsse_core.estimation.state_limits import OperatingLimits
 from dsse_core.grid.admittance import find_no_load
@@ -35,7 +33,6 @@ from dsse_core.results.units import wrap_degrees
 
 MOST_NAMED = 12  # buses
 
-COLOUR_OF_PHASE = {"": GREY, "a": ORANGE, "b": GREEN, "c": SKY, "s1": ORANGE, "s2": GREEN}
 LINE_OF_PHASE: list[dict[str, Any]] = [
     {
         "colors": COLOUR_OF_PHASE[phase],
@@ -133,7 +130,9 @@ def _draw(
         axis.add_collection(drawn)
     for which, (voltages, style) in profile.shown.items():
         size = style | ({"markersize": style["markersize"] / 2} if many else {})
-        axis.plot(distance, of(voltages), linestyle="none", label=which, rasterized=large, **size)
+        of_phases = style_by_phase(which, size, phase) if style is TRUE else [(slice(None), size | {"label": which})]
+        for chosen, own in of_phases:  # estimates stand on the lines of their phases
+            axis.plot(distance[chosen], of(voltages)[chosen], linestyle="none", rasterized=large, **own)
     for number, limit in enumerate(limits):
         axis.axhline(limit, color=PURPLE, linestyle="dashed", linewidth=1.5, label="" if number else "limits")
     axis.set_xlabel(x_label)

@@ -17,9 +17,11 @@ from coordinator.show.figures.style import (
     VERMILLION,
     Drawing,
     new_figure,
+    style_by_phase,
     write_instead,
 )
 from dsse_core.grid.measurement import MeasurementKind
+from dsse_core.grid.nodes import PHASES
 from dsse_core.results.meters import REMOVED, read_in_own_units
 from dsse_core.results.table import Table
 
@@ -45,10 +47,13 @@ def draw_residuals(outcome: RunOutcome) -> Drawing:
     kinds = [kind for kind in WORDS if kind in set(meters.kind)]
     figure, (axis,) = new_figure(4.2)
     x = _find_places(meters, kinds)
-    _draw_marks(axis, x[~removed], values[~removed], "meter in use", {"color": BLUE, "marker": "."})
+    used, style = np.flatnonzero(~removed), dict[str, Any](color=BLUE, marker=".", markersize=6)
+    phase = np.array([PHASES.index(of) if of in PHASES else 0 for of in meters.phase], dtype=np.int64)
+    for chosen, of_phase in style_by_phase("meter in use", style, phase[used]):
+        _draw_marks(axis, x[used[chosen]], values[used[chosen]], of_phase)
     if removed.any():
-        style = {"color": VERMILLION, "marker": "X", "markersize": 7}
-        _draw_marks(axis, x[removed], values[removed], "removed as bad data", style)
+        style = {"color": VERMILLION, "marker": "X", "markersize": 7, "label": "removed as bad data"}
+        _draw_marks(axis, x[removed], values[removed], style)
         _name_removed(axis, x, values, meters, removed)
     if np.isnan(values).all():
         write_instead(axis, "no residual is known")
@@ -87,8 +92,8 @@ def _find_places(meters: Table, kinds: list[KIND]) -> np.ndarray:
     return places
 
 
-def _draw_marks(axis: Axes, x: np.ndarray, y: np.ndarray, label: str, style: dict[str, Any]) -> None:
-    axis.plot(x, y, linestyle="none", label=label, rasterized=len(x) > MAX_VECTOR, **style)
+def _draw_marks(axis: Axes, x: np.ndarray, y: np.ndarray, style: dict[str, Any]) -> None:
+    axis.plot(x, y, linestyle="none", rasterized=len(x) > MAX_VECTOR, **style)
 
 
 def _name_removed(axis: Axes, x: np.ndarray, values: np.ndarray, meters: Table, removed: np.ndarray) -> None:

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from coordinator.show.figures.feeder_profile import find_distances
-from coordinator.show.figures.plot_text import plot_text
+from coordinator.show.figures.plot_text import name_places, plot_text
 from coordinator.show.figures.style import (
     BLUE,
     GREEN,
@@ -21,6 +21,7 @@ from coordinator.show.figures.style import (
     VERMILLION,
     Drawing,
     new_figure,
+    style_by_phase,
     styled,
     write_instead,
 )
@@ -31,6 +32,7 @@ from scenarios.scenario import Scenario
 
 MOST_METERS = 20  # in the figure of those removed most
 MOST_NAMES = 8  # of scans without times, below an axis
+BESIDE = 0.006  # shift of a phase from the one before it, by the width of the profile
 OUTER, INNER = (0, 100), (5, 95)  # percentiles between which the bands of the profile lie
 
 
@@ -95,7 +97,7 @@ def _draw_voltages(course: Course) -> Drawing:
     for name, percentile, colour in (("highest", 100, VERMILLION), ("median", 50, BLUE), ("lowest", 0, GREEN)):
         values = np.full(len(vm), np.nan)
         values[known] = np.percentile(vm[known], percentile, axis=1)
-        _draw_line(axis, course, values, label=f"{name} of all buses", color=colour)
+        _draw_line(axis, course, values, label=f"{name} of all {name_places(course.network)[1]}", color=colour)
     for number, limit in enumerate((limits.lowest_vm, limits.highest_vm)):
         axis.axhline(limit, color=PURPLE, linestyle="dashed", linewidth=1.5, label="" if number else "limits")
     _finish(axis, course, "voltage magnitude (p.u.)")
@@ -123,15 +125,17 @@ def _draw_bands(course: Course) -> Drawing:
     distance, x_label = find_distances(course.network)
     distance = distance[course.network.table.nodes.item]
     seen, limits = ~np.isnan(course.vm).all(axis=0), course.scenario.operating_limits
-    known, distance = course.vm[:, seen], distance[seen]
-    if seen.any():
-        large: dict[str, Any] = {"rasterized": len(distance) > MAX_VECTOR}
+    known, distance, phase = course.vm[:, seen], distance[seen], course.network.table.nodes.phase[seen]
+    large: dict[str, Any] = {"rasterized": len(distance) > MAX_VECTOR}
+    of_median = {"color": VERMILLION, "marker": "_", "markersize": 6}
+    for place, (chosen, style) in enumerate(style_by_phase("median", of_median, phase)):
+        of_phase, colour = known[:, chosen], style["color"] if phase.any() else BLUE
+        x = distance[chosen] + place * BESIDE * np.ptp(distance)
         for (low, high), width, label in ((OUTER, 1.0, "all scans"), (INNER, 3.5, "nine of ten scans")):
-            ends = np.nanpercentile(known, [low, high], axis=0)
-            axis.vlines(distance, *ends, color=BLUE, alpha=0.5, linewidth=width, label=label, **large)
-        middle = np.nanmedian(known, axis=0)
-        axis.plot(distance, middle, linestyle="none", marker="_", color=VERMILLION, label="median", **large)
-    else:
+            ends = np.nanpercentile(of_phase, [low, high], axis=0)
+            axis.vlines(x, *ends, color=colour, alpha=0.5, linewidth=width, label="" if place else label, **large)
+        axis.plot(x, np.nanmedian(of_phase, axis=0), linestyle="none", **style, **large)
+    if not seen.any():
         write_instead(axis, "no scan has an estimate")
     for number, limit in enumerate((limits.lowest_vm, limits.highest_vm)):
         axis.axhline(limit, color=PURPLE, linestyle="dashed", linewidth=1.5, label="" if number else "limits")
@@ -140,7 +144,10 @@ def _draw_bands(course: Course) -> Drawing:
     axis.margins(0.03, 0.06)
     axis.grid(alpha=0.3)
     figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize="small")
-    caption = "Voltage of every bus in all scans against its distance from the substation: range, 5 to 95 %, median."
+    what = name_places(course.network)[0]
+    caption = (
+        f"Voltage of every {what} in all scans against its distance from the substation: range, 5 to 95 %, median."
+    )
     return Drawing("profile", "Voltage profile of all scans", caption, figure)
 
 

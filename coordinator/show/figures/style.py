@@ -9,12 +9,13 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -22,6 +23,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.drafts import whole_file
 from dsse_core.files.wording import describe_unknown
+from dsse_core.grid.nodes import PHASES
 
 INK, PAPER = "#000001", "#fffffe"  # in SVG distinct from each colour of the data
 BLUE, VERMILLION, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#cc79a7"
@@ -32,6 +34,9 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 TRUE: dict[str, Any] = {"color": INK, "marker": "o", "markerfacecolor": "none", "markersize": 7, "markeredgewidth": 0.8}
 CENTRALISED: dict[str, Any] = {"color": BLUE, "marker": "x", "markersize": 6}
 DECENTRALISED: dict[str, Any] = {"color": VERMILLION, "marker": ".", "markersize": 6}
+COLOUR_OF_PHASE = {"": GREY, "a": ORANGE, "b": GREEN, "c": SKY, "s1": ORANGE, "s2": GREEN}
+MARK_OF_PHASE = {"a": "o", "b": "s", "c": "^", "s1": "D", "s2": "v"}
+DOT = 0.6  # size of these marks by that of a mark "." of which they take the place
 WIDTH = 8.0  # inches
 DPI = 130
 PIXELS_PER_INCH = 118  # in a page, where there is room
@@ -98,6 +103,22 @@ def new_figure(height: float, rows: int = 1, width: float = WIDTH) -> tuple[Figu
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0].tolist()
     return figure, axes
+
+
+def style_by_phase(
+    label: str, style: dict[str, Any], phases: np.ndarray
+) -> Iterator[tuple[np.ndarray, dict[str, Any]]]:
+    """Yields for each of ``phases`` (n,), places in PHASES, the positions of its points and their style: a mark and a
+    colour of its own, and a label. ``style``: of points without a phase.
+    """
+    known = np.unique(phases).tolist()
+    for number in known:
+        own: dict[str, Any] = {"label": label if known == [0] else f"{label}, several phases"}
+        if phase := PHASES[number]:
+            size = style["markersize"] * (DOT if style["marker"] == "." else 1.0)
+            own = {"label": f"{label}, phase {phase}", "marker": MARK_OF_PHASE[phase], "markersize": size}
+            own["color"] = COLOUR_OF_PHASE[phase]
+        yield np.flatnonzero(phases == number), style | own
 
 
 def format_power_of_ten(value: float, _position: float = 0) -> str:

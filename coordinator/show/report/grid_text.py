@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from coordinator.lab.evaluation.scan_estimates import ScanEstimates
-from coordinator.show.report.number_cells import place, write_fixed, write_significant, write_texts
+from coordinator.show.report.number_cells import BLANK, place, write_fixed, write_significant, write_texts
+from coordinator.show.report.phase_rows import find_first_rows, show_by_site
 from coordinator.watch.tables.text_table import format_table
 from dsse_core.estimation.bad_data import BadDataReport, SuspectKept
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
@@ -22,6 +23,8 @@ from dsse_core.results.units import base_kw
 LONGEST_LIST = 40
 HEADER = ("scan", "readings", "J", "limit", "iterations", "lowest vm p.u.", "at bus", "removed as bad data")
 LONGEST_NAME_SHOWN = 24
+UNBALANCE = "V-/V+ %"
+OF_WHOLE = ("neutral A", "loss kW")  # branch
 SMALLEST_SHOWN = 1e-6  # kW, kvar, A
 
 
@@ -50,8 +53,10 @@ def format_state(buses: Table, branches: Table) -> str:
         write_fixed(buses.va_deg, 4),
         _powers(buses.p_kw),
         _powers(buses.q_kvar),
+        *_unbalance(buses),
     ]
-    of_buses = _join_cells(("bus", "vm p.u.", "kV", "va deg", "injection kW", "kvar"), columns)
+    header = ("bus", "vm p.u.", "kV", "va deg", "injection kW", "kvar", UNBALANCE)
+    of_buses = _join_cells(header[: len(columns)], columns)
     return f"{of_buses}\n\n{_format_branches(branches)}"
 
 
@@ -77,14 +82,45 @@ def format_estimate(report: BadDataReport, tables: Results) -> str:
         write_fixed(buses.sigma_va_deg, 4),
         *([write_fixed(buses.true_va_deg, 4)] if with_truth else ()),
         *map(_powers, (buses.p_kw, buses.sigma_p_kw, buses.q_kvar, buses.sigma_q_kvar)),
+        *_unbalance(buses),
     ]
-    header = ("bus", "vm p.u.", "sigma", *true, "va deg", "sigma", *true, "injection kW", "sigma", "kvar", "sigma")
+    header = (
+        "bus",
+        "vm p.u.",
+        "sigma",
+        *true,
+        "va deg",
+        "sigma",
+        *true,
+        "injection kW",
+        "sigma",
+        "kvar",
+        "sigma",
+        UNBALANCE,
+    )
     findings = "\n".join(map(printable, format_bad_data(report)))
-    return "\n\n".join([_join_cells(header, columns), _format_branches(tables.branches), findings])
+    return "\n\n".join([_join_cells(header[: len(columns)], columns), _format_branches(tables.branches), findings])
+
+
+def _unbalance(buses: Table) -> Iterator[np.ndarray]:
+    """The cells of the unbalance, once for each bus; nothing in balanced networks."""
+    if "unbalance_percent" in buses.columns:
+        yield _once(buses.unbalance_percent, find_first_rows(buses.bus))
+
+
+def _once(values: np.ndarray, is_first: np.ndarray) -> np.ndarray:
+    """The cells of ``values``, blank but in first rows."""
+    cells = _powers(values)
+    cells[:, ~is_first] = BLANK
+    return cells
 
 
 def _format_branches(branches: Table) -> str:
-    """Flows at the from end, currents and losses of the branches in service, without columns known of no branch."""
+    """Flows at the from end, currents and losses of the branches in service, without columns known of no branch.
+
+    Numbers of a whole branch with phases, losses among them, stand in its first row.
+    """
+    is_first, branches = find_first_rows(branches.branch), show_by_site(branches, "branch")
     larger_at_from = branches.i_from_a >= branches.i_to_a
     shown = {
         "P kW": branches.p_from_kw,
@@ -93,13 +129,17 @@ def _format_branches(branches: Table) -> str:
         "sigma Q": branches.sigma_q_from_kvar,
         "I A": np.fmax(branches.i_from_a, branches.i_to_a),
         "sigma I": np.where(larger_at_from, branches.sigma_i_from_a, branches.sigma_i_to_a),
+        "neutral A": branches.neutral_a if "neutral_a" in branches.columns else np.full(len(branches), np.nan),
         "loss kW": branches.loss_kw,
         "loading %": branches.loading_percent,
     }
     used = branches.in_service
     known = {header: column[used] for header, column in shown.items() if not np.isnan(column[used]).all()}
     of_branches = _name_rows(branches.branch, branches.phase, branches.name)[:, used]
-    return _join_cells(["branch", *known], [of_branches, *map(_powers, known.values())])
+    cells = [
+        _once(column, is_first[used]) if header in OF_WHOLE else _powers(column) for header, column in known.items()
+    ]
+    return _join_cells(["branch", *known], [of_branches, *cells])
 
 
 def _describe_backend(report: BadDataReport) -> str:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from coordinator.lab.evaluation.result import RunResult
 from coordinator.show.figures.residuals_figure import WORDS
 from coordinator.show.figures.style import Drawing
 from coordinator.show.report.page import MAX_ROWS, Page, PageTable, write_page
+from coordinator.show.report.phase_rows import find_first_rows, show_by_site
 from coordinator.show.report.settings import find_origin
 from coordinator.show.report.text import (
     describe_run,
@@ -46,6 +48,7 @@ OF_BUSES: tuple[Column, ...] = (
     ("true angle (degrees)", "true_va_deg", ".4f"),
     ("injection (kW)", "p_kw", ".2f"),
     ("injection (kvar)", "q_kvar", ".2f"),
+    ("unbalance |V-|/|V+| (%)", "unbalance_percent", ".2f"),
     ("quality", "quality", ""),
 )
 OF_BRANCHES: tuple[Column, ...] = (
@@ -58,6 +61,7 @@ OF_BRANCHES: tuple[Column, ...] = (
     ("± (kW)", "sigma_p_from_kw", ".1e"),
     ("reactive power (kvar)", "q_from_kvar", ".2f"),
     ("current (A)", "i_from_a", ".2f"),
+    ("current in neutral and ground (A)", "neutral_a", ".2f"),
     ("losses (kW)", "loss_kw", ".3f"),
     ("loading (%)", "loading_percent", ".1f"),
     ("quality", "quality", ""),
@@ -114,8 +118,10 @@ def make_run_page(result: RunResult, drawings: Sequence[Drawing], arguments: Seq
         ],
         drawings=drawings,
         more_tables=[
-            _tabulate("Buses", result.buses, OF_BUSES, "All columns, with all digits: buses.csv beside this file."),
-            _tabulate("Branches", result.branches, OF_BRANCHES, "All columns: branches.csv beside this file."),
+            _tabulate_sites(
+                "Buses", result.buses, OF_BUSES, "All columns, with all digits: buses.csv beside this file."
+            ),
+            _tabulate_sites("Branches", result.branches, OF_BRANCHES, "All columns: branches.csv beside this file."),
             _tabulate("Meters", _in_own_units(result.meters), OF_METERS, "All columns: meters.csv beside this file."),
         ],
         origin=find_origin(scenario, arguments),
@@ -129,9 +135,22 @@ def _in_own_units(meters: Table) -> Table:
     return Table("meters", shared | read_in_own_units(meters) | {"unit": unit})
 
 
+def _tabulate_sites(title: str, table: Table, columns: Sequence[Column], note: str) -> PageTable:
+    """Tabulates buses or branches; the title has their number, and that of rows where they have phases."""
+    ids = columns[0][1]
+    shown, n = _tabulate(title, show_by_site(table, ids), columns, note), int(find_first_rows(table[ids]).sum())
+    if "unbalance_percent" in table.columns or "neutral_a" in table.columns:
+        note = f"{note} Numbers of a whole {ids}, losses among them, stand in its first row."
+        shown = replace(
+            shown, title=f"{title} ({n}, {len(table)} {'nodes' if ids == 'bus' else 'conductors'})", note=note
+        )
+    return shown
+
+
 def _tabulate(title: str, table: Table, columns: Sequence[Column], note: str = "") -> PageTable:
     """The first ``MAX_ROWS`` rows of ``table``, with the columns that have values, rounded for reading."""
-    cells = [(heading, _write_cells(table[name][:MAX_ROWS], form)) for heading, name, form in columns]
+    there = [column for column in columns if column[1] in table.columns]
+    cells = [(heading, _write_cells(table[name][:MAX_ROWS], form)) for heading, name, form in there]
     filled = [(heading, column) for heading, column in cells if any(column) or not len(table)]
     rows = list(zip(*(column for _, column in filled), strict=True))
     header = [heading for heading, _ in filled]

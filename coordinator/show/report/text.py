@@ -5,6 +5,7 @@ from __future__ import annotations
 from agents.protocol.configuration import Configuration
 from coordinator.lab.evaluation.result import AreaResult, RunOutcome, RunResult
 from coordinator.lab.evaluation.verdict import Verdict
+from coordinator.show.report.phase_rows import describe_unbalance
 from coordinator.watch.observe.causes import write_lines
 from coordinator.watch.tables.text_table import format_table
 from dsse_core.grid.partition import Area
@@ -76,10 +77,10 @@ def _figures(of: AreaResult | Verdict, with_errors: bool) -> tuple[str, ...]:
 
 
 def list_findings(result: RunOutcome) -> list[str]:
-    """Lines on faults, duplicates, notes of areas, rejections, removed meters and the centralised estimate; empty where
-    there is nothing to report.
+    """Lines on unbalance, faults, duplicates, notes of areas, rejections, removed meters and the centralised estimate;
+    empty where there is nothing to report.
     """
-    lines = []
+    lines = [unbalance] if (unbalance := describe_unbalance(result)) else []
     if result.faults:
         lines.append("faults: " + ", ".join(f"{count} {kind}" for kind, count in sorted(result.faults.items())))
     lines += [f"warning: {duplicate}" for duplicate in result.duplicates]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.collections import LineCollection
+from matplotlib.lines import Line2D
 
 import consensus_dsse as dsse
 from agents.messages.packing import StateMessage
@@ -18,10 +21,15 @@ from coordinator.lab.evaluation.answers import power_flow_as_json
 from coordinator.lab.evaluation.result import RunResult
 from coordinator.lab.simulator.simulate import Simulation, simulate_scenario
 from coordinator.lab.simulator.subscriber import Subscriber
-from coordinator.show.figures.profile_figures import describe_ungrounded, draw_angles, find_profile
-from coordinator.show.figures.style import styled
+from coordinator.show.figures.errors_figure import draw_errors
+from coordinator.show.figures.network_figure import draw_network, find_worst
+from coordinator.show.figures.profile_figures import describe_ungrounded, draw_angles, draw_magnitudes, find_profile
+from coordinator.show.figures.residuals_figure import draw_residuals
+from coordinator.show.figures.style import Drawing, styled
 from coordinator.show.report.grid_text import format_state
+from coordinator.show.report.phase_rows import describe_unbalance
 from coordinator.show.report.run_files import write_report
+from coordinator.show.report.run_report import make_run_page
 from coordinator.show.report.text import format_verdict
 from coordinator.show.web.drawing import draw_scenario, draw_states
 from coordinator.show.web.moment import Moments, encode_json
@@ -29,6 +37,8 @@ from coordinator.show.web.shown_tables import select_rows
 from coordinator.watch.observe.grid_tables import GridTables, Tables
 from coordinator.watch.observe.summary import summarise
 from coordinator.watch.observe.watcher import Watcher
+from dsse_core.estimation.state_limits import OperatingLimits
+from dsse_core.grid.nodes import PHASES
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.results.results import results_of_power_flow
 from scenarios.faults.faults import change_links
@@ -88,6 +98,89 @@ def test_the_report_has_all_figures_and_a_row_for_each_phase(run: RunResult):
     page = (run.folder / "report.html").read_text()
     assert "phase of every bus" in page
     assert "646.b" in page
+
+
+def test_the_report_counts_buses_and_nodes_and_says_losses_and_unbalance_once_for_each(run: RunResult):
+    page = make_run_page(run, [], [])
+    of_buses, of_branches = page.more_tables[:2]
+    n_bus, n_conductor = len(SCENARIO.network.buses), len(run.branches)
+    assert of_buses.title == f"Buses ({n_bus}, {NODES} nodes)"
+    assert of_branches.title == f"Branches ({len(SCENARIO.network.branches)}, {n_conductor} conductors)"
+    buses = [dict(zip(of_buses.header, row, strict=True)) for row in of_buses.rows]
+    said = {row["bus"]: row["unbalance |V-|/|V+| (%)"] for row in buses if row["unbalance |V-|/|V+| (%)"]}
+    v = np.asarray(run.buses.vm_pu) * np.exp(1j * np.radians(run.buses.va_deg))
+    turn = np.exp(2j * np.pi / 3)
+    a, b, c = v[SCENARIO.network.nodes_at(671)]
+    assert float(said["671"]) == pytest.approx(
+        100 * abs((a + turn**2 * b + turn * c) / (a + turn * b + turn**2 * c)), abs=6e-3
+    )
+    assert [row["phase"] for row in buses if row["bus"] == "671" and row["unbalance |V-|/|V+| (%)"]] == ["a"]
+    branches = [dict(zip(of_branches.header, row, strict=True)) for row in of_branches.rows]
+    lost = sum(float(row["losses (kW)"] or 0) for row in branches)
+    assert lost == pytest.approx(run.branches.loss_kw.sum(), abs=1e-3 * len(branches))
+    assert [row["losses (kW)"] != "" for row in branches if row["branch"] == "645-646"] == [True, False]
+    found = describe_unbalance(run)
+    assert found in format_verdict(run)
+    assert f"{np.nanmax(run.buses.unbalance_percent):.2f} % at bus" in found
+    assert f"{run.branches.neutral_a.max():.1f} A in branch" in found
+
+
+def test_text_says_losses_of_all_conductors_in_the_first_row_of_a_branch(run: RunResult):
+    lines = format_state(run.buses, run.branches).splitlines()
+    rows = [line.split() for line in lines if line.startswith("645-646.")]
+    of_branch = np.array([branch == "645-646" for branch in run.branches.branch])
+    assert float(rows[0][-1]) == pytest.approx(run.branches.loss_kw[of_branch].sum(), rel=1e-2)
+    assert len(rows[1]) == len(rows[0]) - 2  # without those of the branch: neutral current and losses
+
+
+def lines_of(drawing: Drawing, label: str) -> list[Line2D]:
+    return [line for axis in drawing.figure.axes for line in axis.lines if line.get_label() == label]
+
+
+def test_pictures_tell_phases_apart_without_colour(run: RunResult):
+    with styled():
+        profile, errors, residuals = draw_magnitudes(find_profile(run)), draw_errors(run), draw_residuals(run)
+    nodes, comparison = SCENARIO.network.table.nodes, run.comparison
+    marks = {"a": "o", "b": "s", "c": "^"}
+    for phase, mark in marks.items():
+        (true,), of_phase = lines_of(profile, f"true (power flow), phase {phase}"), nodes.phase == PHASES.index(phase)
+        assert np.asarray(true.get_ydata()).tolist() == comparison.truth.vm[of_phase].tolist()
+        of_errors = lines_of(errors, f"decentralised estimate, phase {phase}")
+        drawn = np.asarray(of_errors[0].get_ydata())
+        assert sorted(drawn[~np.isnan(drawn)]) == sorted((comparison.decentralised.vm - comparison.truth.vm)[of_phase])
+        (used,) = lines_of(residuals, f"meter in use, phase {phase}")
+        assert len(np.asarray(used.get_xdata())) == sum(of == phase for of in run.meters.phase)
+        assert {line.get_marker() for line in (true, *of_errors, used)} == {mark}
+    (axis,) = profile.figure.axes
+    dashes = [str(each.get_linestyle()) for each in axis.collections if isinstance(each, LineCollection)]
+    assert len({*dashes}) == len(dashes) == len(marks)
+    ticks = [text.get_text() for text in errors.figure.axes[-1].get_xticklabels()]
+    assert {*ticks} <= {str(bus.id) for bus in SCENARIO.network.buses}
+
+
+def test_the_map_shows_the_worst_phase_and_the_phases_of_lines(run: RunResult):
+    high = OperatingLimits(lowest_vm=0.5, highest_vm=1.0)
+    network, vm = SCENARIO.network, run.comparison.decentralised.vm
+    for limits, choose in ((high, max), (OperatingLimits(lowest_vm=1.0, highest_vm=1.5), min)):
+        worst = [choose(vm[network.nodes_at(bus.id)]) for bus in network.buses]
+        assert find_worst(network, vm, limits).tolist() == worst
+    with styled():
+        axis = draw_network(run).figure.axes[0]
+    written = Counter(text.get_text() for text in axis.texts)
+    phases = Counter(branch.primitive.from_phases for branch in network.active_branches if branch.primitive)
+    assert {text: n for text, n in written.items() if text in phases} == {
+        of: n for of, n in phases.items() if of != "abc"
+    }
+    drawn = [each for each in axis.collections if isinstance(each, LineCollection)]
+    widths = Counter(
+        np.round(np.concatenate([each.get_linewidths() for each in drawn if each.get_segments()]), 3).tolist()
+    )
+    assert [n for _, n in sorted(widths.items())] == [
+        n
+        for _, n in sorted(
+            Counter(len(branch.primitive.from_phases) for branch in network.active_branches if branch.primitive).items()
+        )
+    ]
 
 
 def test_angles_of_phases_count_from_those_at_no_load(run: RunResult):

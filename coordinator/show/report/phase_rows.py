@@ -1,0 +1,52 @@
+"""Numbers of a whole bus or branch in tables with a row for each phase: readers see them once, in its first row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from coordinator.lab.evaluation.result import RunOutcome
+from dsse_core.results.table import Table
+
+OF_WHOLE = ("unbalance_percent", "neutral_a")
+
+
+def show_by_site(table: Table, ids: str) -> Table:
+    """``table`` with unbalance, neutral current and losses in the first row of each bus or branch; ``ids``: its column.
+
+    Of the loss of coupled conductors, which give power to each other, or of a bank, only the sum is a loss.
+    """
+    if not (known := [name for name in OF_WHOLE if name in table.columns]):
+        return table
+    is_first = find_first_rows(table[ids])
+    shown = {name: table[name] for name in table.columns}
+    shown |= {name: np.where(is_first, table[name], np.nan) for name in known}
+    if "loss_kw" in shown:
+        shown["loss_kw"] = np.full(len(is_first), np.nan)
+        shown["loss_kw"][is_first] = np.add.reduceat(table.loss_kw, np.flatnonzero(is_first))
+    return Table("rows", shown)
+
+
+def find_first_rows(ids: Sequence[object] | np.ndarray) -> np.ndarray:
+    """True in the first row of each bus or branch, whose rows follow each other, (n_row,)."""
+    is_first = np.ones(len(ids), dtype=bool)
+    is_first[1:] = [one != other for one, other in zip(ids[1:], ids[:-1], strict=True)]
+    return is_first
+
+
+def describe_unbalance(result: RunOutcome) -> str:
+    """Sentence on the largest unbalance and the largest neutral current, of fresh numbers; empty without phases."""
+    buses, branches = result.buses, result.branches
+    if "unbalance_percent" not in buses.columns:
+        return ""
+    found = []
+    for table, column, of, text in (
+        (buses, "unbalance_percent", list(map(str, buses.bus.tolist())), "unbalance |V-|/|V+| {:.2f} % at bus {}"),
+        (branches, "neutral_a", branches.branch, "current in neutral and ground {:.1f} A in branch {}"),
+    ):
+        values = np.where(table.fresh, table[column], np.nan)
+        if not np.isnan(values).all():
+            row = int(np.nanargmax(values))
+            found.append(text.format(values[row], of[row]))
+    return f"largest {', largest '.join(found)}" if found else ""
