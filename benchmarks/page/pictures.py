@@ -15,6 +15,7 @@ import click
 from benchmarks.page.browser import choose_bus, looking
 
 BUS = 18
+BY_PHASE, BUS_BY_PHASE = "ieee13", 671  # a scenario with phases, and the bus that is selected
 PHONE = {"width": 400, "height": 900}
 SCREEN = {"width": 1280, "height": 820}
 
@@ -66,7 +67,23 @@ def take_pictures(folder: Path, scenario: str) -> list[Path]:
         page.emulate_media(media="screen")
         page.set_viewport_size(PHONE)
         take("page-narrow")
+    with playing(BY_PHASE) as url, looking() as page:
+        page.emulate_media(color_scheme="light")
+        page.set_viewport_size(SCREEN)
+        choose_bus(page, url, BUS_BY_PHASE)
+        page.wait_for_selector("body[data-complete]")
+        page.wait_for_selector("#meters-there tbody tr")
+        take_part(page, folder / "page-phases.png", "#feeder", "#profile-section")
+        taken.append(folder / "page-phases.png")
     return taken
+
+
+def take_part(page: Any, path: Path, first: str, last: str) -> None:
+    """Take a picture of the page from the element ``first`` down to ``last``."""
+    page.wait_for_timeout(500)
+    above, below = (page.locator(place).bounding_box() for place in (first, last))
+    clip = {"x": 0, "y": above["y"], "width": SCREEN["width"], "height": below["y"] + below["height"] - above["y"]}
+    page.screenshot(path=path, full_page=True, clip=clip)
 
 
 def _find_loss(page: Any) -> None:

@@ -79,9 +79,12 @@ class _Endpoints:
 
     async def rows(self, request: Request) -> Response:
         asked = request.query_params
-        kind, name, given = asked.get("kind", ""), asked.get("id"), [asked.get(key) for key in WHICH_ROWS]
-        if kind not in KINDS_OF_ROWS or len(name or "") > LONGEST_NAME:
+        kind, name, place = asked.get("kind", ""), asked.get("id"), asked.get("at")
+        given = [asked.get(key) for key in WHICH_ROWS]
+        if kind not in KINDS_OF_ROWS or len(name or "") > LONGEST_NAME or len(place or "") > LONGEST_NAME:
             return _problem(400, f"kind is one of {', '.join(KINDS_OF_ROWS)}, id what is shown")
+        if place is not None and kind != "meter":
+            return _problem(400, "at is for meters: those at a bus or branch")
         first, count, number = (None if value is None else _read_number(value) for value in given)
         if -1 in (first, count, number):
             return _problem(400, f"{', '.join(WHICH_ROWS)} are numbers")
@@ -90,7 +93,7 @@ class _Endpoints:
 
         def select() -> dict[str, Any]:
             most = MOST_ROWS if count is None else min(count, MOST_ROWS)
-            return select_rows(self.source.tables(number), kind, name, first or 0, most)
+            return select_rows(self.source.tables(number), kind, name, first or 0, most, place)
 
         return _json(await asyncio.to_thread(select))
 

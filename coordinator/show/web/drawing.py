@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,10 @@ from coordinator.show.figures.feeder_layout import find_places, lay_out
 from coordinator.show.figures.feeder_profile import find_distances
 from dsse_core.estimation.state_limits import DEFAULT_OPERATING_LIMITS, OperatingLimits
 from dsse_core.grid.columns import read_given
-from dsse_core.results.table import PHASE
+from dsse_core.grid.network import Network
+from dsse_core.grid.nodes import write_phases
+from dsse_core.results.flows import build_branch_model
+from dsse_core.results.table import PHASE, name_phases
 from scenarios.scenario import Scenario
 
 BUSES_IN_A_ROW = 8  # of an area that is known from the bus alone
@@ -37,7 +40,9 @@ def encode_drawing(content: Mapping[str, Any], mode: str) -> Drawing:
 
 
 def draw_scenario(scenario: Scenario) -> dict[str, Any]:
-    """The grid of ``scenario``: buses in the order of its network, branches in that of its branches."""
+    """The grid of ``scenario``: buses in the order of its network, branches in that of its branches; with phases nodes
+    and conductors in the order of the tables.
+    """
     partition, network = scenario.partition, scenario.network
     on_map = find_places(network)
     place, (distance, axis) = lay_out(network).place if on_map is None else on_map, find_distances(network)
@@ -55,7 +60,7 @@ def draw_scenario(scenario: Scenario) -> dict[str, Any]:
         "operating_limits": _describe_limits(scenario.operating_limits),
         "buses": {
             "id": ids,
-            "phase": [PHASE] * len(ids),
+            "phase": [write_phases(phases) or PHASE for phases in network.table.nodes.sets.tolist()],
             "name": list(read_given(network.buses, "name")) or [""] * len(ids),
             "base_kv": network.table.base_kv.tolist(),
             "x": place[:, 0].tolist(),
@@ -79,7 +84,15 @@ def draw_scenario(scenario: Scenario) -> dict[str, Any]:
             }
             for area in partition.areas
         ],
+        **_list_nodes(network.nodes),
+        **({} if network.table.nodes.is_balanced else _list_conductors(network)),
     }
+
+
+def _list_conductors(network: Network) -> dict[str, Any]:
+    conductors = build_branch_model(network)
+    branches = [network.branch_ids[k] for k in conductors.branch.tolist()]
+    return {"conductors": {"branch": branches, "phase": name_phases(conductors.phase)}}
 
 
 def draw_states(run: str, states: Mapping[str, StateMessage]) -> dict[str, Any]:
@@ -89,6 +102,7 @@ def draw_states(run: str, states: Mapping[str, StateMessage]) -> dict[str, Any]:
     keys = "id", "phase", "name", "base_kv", "x", "y", "distance", "area", "areas"
     buses: dict[str, list[Any]] = {key: [] for key in keys}
     row_of: dict[int, int] = {}
+    phases = _find_phases(states.values())
     areas, left = [], 0
     for name, state in states.items():
         own = tuple(dict.fromkeys(state.buses))  # with phases a bus is there once for each
@@ -98,7 +112,8 @@ def draw_states(run: str, states: Mapping[str, StateMessage]) -> dict[str, Any]:
                 continue
             row_of[bus] = len(buses["id"])
             place = left + k % BUSES_IN_A_ROW, k // BUSES_IN_A_ROW
-            for key, value in zip(buses, (bus, PHASE, "", None, *place, None, name, [name]), strict=True):
+            values = bus, "".join(phases[bus]) or PHASE, "", None, *place, None, name, [name]
+            for key, value in zip(buses, values, strict=True):
                 buses[key].append(value)
         left += min(BUSES_IN_A_ROW, len(own)) + 2
         shared = {other: sorted({*state.buses} & {*states[other].buses}) for other in state.sent if other in states}
@@ -113,7 +128,24 @@ def draw_states(run: str, states: Mapping[str, StateMessage]) -> dict[str, Any]:
         "buses": buses,
         "branches": {key: [] for key in ("id", "from_bus", "to_bus", "in_service", "area")},
         "areas": areas,
+        **_list_nodes([(bus, phase) for bus in buses["id"] for phase in phases[bus]]),
     }
+
+
+def _find_phases(states: Iterable[StateMessage]) -> dict[int, list[str]]:
+    """Bus -> its phases in all ``states``, [""] in a balanced network."""
+    seen: dict[int, set[str]] = {}
+    for state in states:
+        for bus, phase in state.nodes:
+            seen.setdefault(bus, set()).add(phase)
+    return {bus: sorted(phases) for bus, phases in seen.items()}
+
+
+def _list_nodes(nodes: Sequence[tuple[int, str]]) -> dict[str, Any]:
+    """The columns of ``nodes``, which are there with phases only."""
+    if not any(phase for _, phase in nodes):
+        return {}
+    return {"nodes": {"bus": [bus for bus, _ in nodes], "phase": [phase or PHASE for _, phase in nodes]}}
 
 
 def _describe_limits(limits: OperatingLimits) -> dict[str, Any]:

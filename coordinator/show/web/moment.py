@@ -12,7 +12,7 @@ import numpy as np
 
 from agents.protocol.quality import GOOD, QUALITIES
 from coordinator.show.web.history import History
-from coordinator.show.web.shown_tables import draw_tables, merge_phases
+from coordinator.show.web.shown_tables import draw_tables
 from coordinator.watch.observe.causes import Onsets, find_causes
 from coordinator.watch.observe.grid_tables import (
     Columns,
@@ -26,6 +26,7 @@ from coordinator.watch.observe.summary import summarise
 from coordinator.watch.observe.view import AreaView, View
 from coordinator.watch.observe.view_json import describe_causes, describe_summary, describe_view
 from coordinator.watch.observe.watcher import Watcher
+from dsse_core.results.table import Table
 
 MOST_EVENTS = 200
 
@@ -115,7 +116,7 @@ class Moments:
     def __init__(self, known: GridTables | None, onsets: Onsets | None = None) -> None:
         self.known = known
         self.onsets = onsets
-        self.history = History()
+        self.history = History(has_phases=known is not None and not known.scenario.network.table.nodes.is_balanced)
         self.events = Events()
         self.tables = Tables(list_buses({}, {}), None, collect_readings({}, {}, {}))  # of the last moment
         self._scans_kept: object = None
@@ -134,7 +135,7 @@ class Moments:
             self._keep(at, view, find_tables())
 
     def make(self, watcher: Watcher, now: float, at: float, **more: Any) -> dict[str, Any]:
-        """The moment at ``now``, see ``note``: the drawn columns of buses and branches, and the worst meters.
+        """The moment at ``now``, see ``note``: the drawn columns of nodes and conductors, and the worst meters.
 
         ``more``: further keys, which replace those of the moment.
         """
@@ -160,10 +161,12 @@ class Moments:
 
     def _keep(self, at: float, view: View, tables: Tables) -> None:
         """Keeps the fresh numbers; the past of others has a gap."""
-        of, (buses, branches), meters = self.history.of, merge_phases(tables), tables.meters
-        of["bus"].take(at, buses["bus"].tolist(), _find_fresh(buses, of["bus"].columns))
+        of, (buses, branches, meters) = self.history.of, tables
+        ids = tuple(zip(buses.bus.tolist(), buses.phase, strict=True))
+        of["bus"].take(at, ids, _find_fresh(buses, of["bus"].columns))
         if branches is not None:
-            of["branch"].take(at, branches["branch"], _find_fresh(branches, of["branch"].columns))
+            ids = tuple(zip(branches.branch, branches.phase, strict=True))
+            of["branch"].take(at, ids, _find_fresh(branches, of["branch"].columns))
         of["meter"].take(at, meters["meter"], _find_fresh(meters, of["meter"].columns))
         fresh = [area if area.freshness.fresh else AreaView(area.name, area.present, None) for area in view.areas]
         areas = {
@@ -177,7 +180,7 @@ class Moments:
         of["area"].take(at, [area.name for area in view.areas], columns)
 
 
-def _find_fresh(columns: Columns, names: Iterable[str]) -> dict[str, np.ndarray]:
+def _find_fresh(columns: Columns | Table, names: Iterable[str]) -> dict[str, np.ndarray]:
     return {name: np.where(columns["fresh"], columns[name], np.nan) for name in names}
 
 

@@ -24,7 +24,9 @@ class Health(TypedDict):
 
 
 class BusColumns(TypedDict):
-    """Columns of the grid's nodes; ``x``, ``y``: columns and rows of the drawing, or coordinates where it is a map."""
+    """Columns of the grid's buses; ``phase``: abc, or the phases that the bus has; ``x``, ``y``: columns and rows of
+    the drawing, or coordinates where it is a map.
+    """
 
     id: list[int]
     phase: list[str]
@@ -45,6 +47,20 @@ class BranchColumns(TypedDict):
     to_bus: list[int]
     in_service: list[bool]
     area: list[str]
+
+
+class Nodes(TypedDict):
+    """Columns of the nodes of a grid with phases: a row for each phase of a bus, a, b, c, s1 or s2."""
+
+    bus: list[int]
+    phase: list[str]
+
+
+class Conductors(TypedDict):
+    """Columns of the conductors of a grid with phases: a row for each phase of a branch."""
+
+    branch: list[str]
+    phase: list[str]
 
 
 class Meeting(TypedDict):
@@ -72,7 +88,10 @@ class OperatingLimits(TypedDict):
 
 
 class Grid(TypedDict):
-    """Drawing of the grid, which rarely changes; ``known``: from a scenario, else from the states on the bus."""
+    """Drawing of the grid, which rarely changes; ``known``: from a scenario, else from the states on the bus.
+
+    ``nodes``: of a grid with phases; ``conductors``: of one that is known.
+    """
 
     version: str
     mode: str
@@ -84,6 +103,8 @@ class Grid(TypedDict):
     buses: BusColumns
     branches: BranchColumns
     areas: list[GridArea]
+    nodes: NotRequired[Nodes]
+    conductors: NotRequired[Conductors]
 
 
 class Event(TypedDict):
@@ -125,8 +146,9 @@ class RootCause(TypedDict):
 class Moment(TypedDict):
     """All that a page shows at one moment; before the first view only number, mode and time.
 
-    ``fresh`` of a row: its numbers are of the present; quality and ``value_age_s`` are those of its area. Only fresh
-    numbers count in ``summary``.
+    ``buses``, ``branches``: a row for each in the order of the grid, with phases for each of its nodes and conductors;
+    without a scenario with the ``id`` of each, and its ``phase``. ``fresh`` of a row: its numbers are of the present;
+    quality and ``value_age_s`` are those of its area. Only fresh numbers count in ``summary``.
     """
 
     causes: NotRequired[list[RootCause]]
@@ -149,8 +171,8 @@ class Moment(TypedDict):
 
 
 class Past(TypedDict):
-    """Times and columns of one bus, branch, meter or area, null where nothing fresh was there; ``complete``: false
-    where more of them will be found.
+    """Times and columns of one bus, branch, meter or area, null where nothing fresh was there; with phases a column for
+    each, such as ``vm_pu.a``. ``complete``: false where more of them will be found.
     """
 
     time: list[float]
@@ -159,7 +181,7 @@ class Past(TypedDict):
 
 
 class Rows(TypedDict):
-    """Columns of some rows of a table that has ``total`` rows."""
+    """Columns of some rows of a table that has ``total`` rows; with phases a bus or branch has one for each."""
 
     total: int
     rows: Columns
@@ -211,7 +233,8 @@ PARAMETERS: dict[str, list[dict[str, Any]]] = {
     ],
     "/api/rows": [
         {"name": "kind", "in": "query", "required": True, "schema": TEXT | {"enum": ["bus", "branch", "meter"]}},
-        {"name": "id", "in": "query", "schema": TEXT, "description": "of one row"},
+        {"name": "id", "in": "query", "schema": TEXT, "description": "of one bus, branch or meter"},
+        {"name": "at", "in": "query", "schema": TEXT, "description": "of meters: the bus or branch that they are at"},
         {"name": "first", "in": "query", "schema": WHOLE, "description": "of many; 0"},
         {"name": "count", "in": "query", "schema": WHOLE, "description": "how many; 1000 at most"},
         {"name": "frame", "in": "query", "schema": WHOLE, "description": "of a playback; the last"},

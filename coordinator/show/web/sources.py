@@ -154,7 +154,7 @@ class LiveSource:
         """Draws the grid again if buses or neighbours in the states have changed; with a scenario it is constant."""
         if self._known is not None:
             return
-        drawn = {name: (state.buses, tuple(state.sent)) for name, state in watcher.states.items()}
+        drawn = {name: (state.buses, state.phases, tuple(state.sent)) for name, state in watcher.states.items()}
         if drawn != self._drawn:
             self._drawn = drawn
             self._drawing = encode_drawing(draw_states(self._run, watcher.states), self.mode)

@@ -249,11 +249,13 @@ class GridTables:
         silent = [name for name in self._telemetered if name not in present]
         silent_areas = [self._area_of_meter.get(name, "") for name in silent]
         all_meters = [*listed, *(self._meters[name] for name in silent)]
+        is_balanced = self.scenario.network.table.nodes.is_balanced
         columns = {
             "meter": tuple(meter.id for meter in all_meters),
             "area": (*(areas[k] for k in known), *silent_areas),
             "bus": np.array([meter.bus for meter in all_meters], dtype=np.int64),
             "branch": tuple(meter.branch or "" for meter in all_meters),
+            **({} if is_balanced else {"phase": tuple(meter.phases or PHASE for meter in all_meters)}),
             "unit": tuple(UNIT[meter.kind] for meter in all_meters),
         }
         size = find_unit_sizes(self.scenario.network, listed)

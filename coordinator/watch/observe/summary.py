@@ -47,7 +47,8 @@ class Summary:
     """Voltage of buses in p.u., loading in percent and current in A of branches in service, normalised residuals of
     meters in use; powers: injection of the substation, losses, loads and generation of the other buses by the sign of
     their injections. ``limits``: of operation. Only voltage and residual are known without a scenario. ``has_phases``:
-    the voltages are those of nodes, such as 671.a, and branches count by their conductors, such as 632-671.a.
+    the voltages are those of nodes, such as 671.a, and branches count by their conductors, such as 632-671.a;
+    ``unbalance``: of three-phase buses, percent.
     """
 
     voltage: Extent
@@ -60,6 +61,7 @@ class Summary:
     generation: Power = Power()
     limits: OperatingLimits = DEFAULT_OPERATING_LIMITS
     has_phases: bool = False
+    unbalance: Extent = Extent()
 
 
 def summarise(tables: Tables, known: GridTables | None) -> Summary:
@@ -87,6 +89,7 @@ def summarise(tables: Tables, known: GridTables | None) -> Summary:
         generation=_add_up(np.maximum(p, 0.0), np.maximum(q, 0.0), elsewhere),
         limits=limits,
         has_phases=not known.scenario.network.table.nodes.is_balanced,
+        unbalance=_find_unbalance(buses),
     )
 
 
@@ -103,6 +106,16 @@ def _find_voltage(buses: Table, limits: OperatingLimits) -> Extent:
         return name_by_phase([str(buses.bus[at[k]])], [buses.phase[at[k]]])[0]
 
     return _find_extent(name, buses.vm_pu[at], buses.fresh[at], every, *band)
+
+
+def _find_unbalance(buses: Table) -> Extent:
+    """Extent of the unbalance of buses with the phases a, b and c, of which each counts once."""
+    if "unbalance_percent" not in buses.columns:
+        return Extent()
+    phase = np.array(buses.phase)
+    with_b, with_c = (np.isin(buses.bus, buses.bus[phase == each]) for each in "bc")
+    every = (phase == "a") & with_b & with_c
+    return _find_extent(lambda k: str(buses.bus[k]), buses.unbalance_percent, buses.fresh, every)
 
 
 def _find_residual(meters: dict[str, Any], limits: OperatingLimits) -> Extent:

@@ -45,6 +45,6 @@ def describe_tables(tables: Mapping[str, Table]) -> dict[str, dict[str, list[Any
     return {name: columns_as_json(table) for name, table in tables.items()}
 
 
-def describe_summary(summary: Summary) -> dict[str, dict[str, Any]]:
+def describe_summary(summary: Summary) -> dict[str, Any]:
     """A summary by its quantities."""
-    return {name: values for name, values in asdict(summary).items() if name != "has_phases"}
+    return asdict(summary)

@@ -21,9 +21,9 @@ function nameOf(moment, { what, since, scope }) {
 
 /** @param {Moment} moment @returns {Said} */
 export function findSaid(moment) {
-  const { causes, view, summary: { voltage } } = moment, areas = Object.values(view.areas), good = areas.filter(({ quality }) => quality === "good").length;
+  const { causes, view, summary: { voltage, has_phases: hasPhases } } = moment, areas = Object.values(view.areas), good = areas.filter(({ quality }) => quality === "good").length;
   if (!causes.length) {
-    const isSound = areas.length > 0 && good === areas.length, known = `${good} of ${areas.length} areas good, ${voltage.known} of ${voltage.total} buses known`;
+    const isSound = areas.length > 0 && good === areas.length, known = `${good} of ${areas.length} areas good, ${voltage.known} of ${voltage.total} ${hasPhases ? "phases of buses" : "buses"} known`;
     return { state: isSound ? "good" : "degraded", what: isSound ? "✓ Nothing is wrong" : "! Not all is known yet", action: "", remark: `${known}.`, further: [] };
   }
   const [first, ...others] = causes, state = gradeOf(first), more = others.length - MOST_FURTHER;

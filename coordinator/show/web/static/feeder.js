@@ -3,6 +3,7 @@
 import { byId, colour, number } from "./format.js";
 import { edgesOf, heightOf, placeBuses } from "./layout.js";
 import { findDeadLinks } from "./links.js";
+import { freshBranches, largestLoadings, worstVoltages } from "./phases.js";
 import { findStructure, paintFeeder } from "./paint.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Moment} Moment */
@@ -45,11 +46,9 @@ function mayZoom(event) {
 function pickPainted(moment, grid) {
   return {
     qualities: Object.fromEntries(Object.entries(moment.view.areas).map(([name, area]) => [name, area.quality])),
-    bus: /** @type {number[]} */ (moment.buses.id ?? grid.buses.id),
-    vm: /** @type {(number | null)[]} */ (moment.buses.vm_pu ?? []),
-    loading: /** @type {(number | null)[]} */ (moment.branches.loading_percent ?? []),
-    fresh: /** @type {boolean[]} */ (moment.buses.fresh ?? []),
-    freshBranches: /** @type {boolean[]} */ (moment.branches.fresh ?? []),
+    worst: worstVoltages(grid, moment.buses),
+    loading: largestLoadings(grid, moment.branches),
+    freshBranches: freshBranches(grid, moment.branches),
     cause: moment.causes[0] ?? null,
     links: moment.links,
     dead: findDeadLinks(moment),

@@ -4,6 +4,7 @@ const GOOD = "good";
 
 /** @type {Record<string, string>} */ const LABELS = {
   vm_pu: "voltage (p.u.)", va_deg: "angle (°)", sigma_vm_pu: "σ of voltage (p.u.)", sigma_va_deg: "σ of angle (°)",
+  vm_kv: "voltage to ground (kV)", unbalance_percent: "unbalance (%)", neutral_a: "neutral current (A)", i_to_a: "current at the to end (A)",
   p_kw: "injected active power (kW)", q_kvar: "injected reactive power (kvar)",
   p_from_kw: "active power (kW)", q_from_kvar: "reactive power (kvar)", i_from_a: "current (A)", loss_kw: "loss (kW)",
   loading_percent: "loading (%)", age_s: "age (s)", sigma: "σ of the reading", residual_in_sigmas: "residual in σ of the reading",
@@ -11,7 +12,7 @@ const GOOD = "good";
 };
 /** @type {Record<string, number>} */ const DECIMALS = { // after the point: a column, or a unit of a reading
   vm_pu: 4, lowest_vm_pu: 4, highest_vm_pu: 4, va_deg: 3, sigma_vm_pu: 5, sigma_va_deg: 4, p_kw: 1, q_kvar: 1, p_from_kw: 1, q_from_kvar: 1,
-  i_from_a: 1, loss_kw: 2, loading_percent: 1, normalised_residual: 2, residual_in_sigmas: 2, age_s: 1,
+  i_from_a: 1, i_to_a: 1, neutral_a: 1, vm_kv: 4, unbalance_percent: 2, p_to_kw: 1, q_to_kvar: 1, loss_kw: 2, loading_percent: 1, normalised_residual: 2, residual_in_sigmas: 2, age_s: 1,
   pu: 4, deg: 3, kw: 2, kvar: 2, a: 2,
 };
 const OTHER_DECIMALS = 5; // of a reading in p.u. or rad

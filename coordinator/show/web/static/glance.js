@@ -3,6 +3,7 @@
 import { placesOf } from "./cause.js";
 import { byId, element, entryOf, fixed, qualityClass, shorten, unitOf } from "./format.js";
 import { findDeadLinks } from "./links.js";
+import { nodesOf } from "./phases.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Moment} Moment @typedef {import("./types.js").Choice} Choice */
 /** @typedef {import("./types.js").Spread} Spread @typedef {import("./types.js").Total} Total @typedef {import("./types.js").Extreme} Extreme */
@@ -44,10 +45,16 @@ function judge({ view }, { known, total }) {
   return known === total && Object.values(view.areas).every(({ quality }) => quality === "good") ? "good" : "degraded";
 }
 
-/** @param {Moment} moment @param {Grid} grid @returns {string} how many known buses are of areas that are not good */
-function countDoubtful({ view }, { buses }) {
-  const doubtful = buses.area.filter((name) => {
-    const area = entryOf(view.areas, name);
+/** What the numbers of buses or branches count. @param {Moment} moment @param {string} noun @returns {string} */
+function unitOfCount({ summary }, noun) {
+  return summary.has_phases ? "phase" : noun;
+}
+
+/** @param {Moment} moment @param {Grid} grid @returns {string} how many known buses, or phases of these, are of areas that are not good */
+function countDoubtful({ view }, grid) {
+  const { buses } = grid, areaOf = new Map(buses.id.map((bus, k) => [bus, buses.area[k]]));
+  const doubtful = nodesOf(grid).bus.filter((bus) => {
+    const area = entryOf(view.areas, areaOf.get(bus) ?? "");
     return area?.fresh && area.quality !== "good";
   }).length;
   return doubtful ? `; ${doubtful} not of good areas` : "";
@@ -60,25 +67,38 @@ function knownOf({ known, total }, noun) {
 
 /** @param {Moment} moment @param {Grid} grid @returns {Tile} */
 function findVoltages(moment, grid) {
-  const { summary: { voltage } } = moment, { operating_limits: { lowest_vm_pu: low, highest_vm_pu: high } } = grid;
+  const { summary: { voltage, unbalance } } = moment, { operating_limits: { lowest_vm_pu: low, highest_vm_pu: high } } = grid, noun = unitOfCount(moment, "bus");
   const title = "Voltage", limits = `${low} to ${high} p.u.`, offer = offering(moment, grid, "bus", "vm_pu"), isWhole = voltage.known === voltage.total && voltage.total > 0;
-  if (!voltage.known || !voltage.lowest || !voltage.highest) return { title, state: "unknown", text: `${knownOf(voltage, "bus")}.`, offers: [] };
+  if (!voltage.known || !voltage.lowest || !voltage.highest) return { title, state: "unknown", text: `${knownOf(voltage, noun)}.`, offers: [] };
   if (voltage.outside) {
-    const rest = isWhole ? "" : ` ${knownOf(voltage, "bus")}.`;
-    return { title, state: "bad", text: `${counted(voltage.outside, "bus")} outside ${limits}${rest}`, offers: voltage.worst.slice(0, MOST_OFFERS).map(offer) };
+    const rest = isWhole ? "" : ` ${knownOf(voltage, noun)}.`;
+    return { title, state: "bad", text: `${counted(voltage.outside, noun)} outside ${limits}${rest}`, offers: voltage.worst.slice(0, MOST_OFFERS).map(offer) };
   }
-  const text = isWhole ? `All ${counted(voltage.total, "bus")} within ${limits}` : `${knownOf(voltage, "bus")}, within ${limits}`;
-  return { title, state: judge(moment, voltage), text: text + countDoubtful(moment, grid), offers: [offer(voltage.lowest), offer(voltage.highest)] };
+  const all = `All ${counted(voltage.total, noun)}${describeWhole(grid, voltage.total)}`;
+  const text = isWhole ? `${all} within ${limits}` : `${knownOf(voltage, noun)}, within ${limits}`;
+  const most = unbalance?.highest ? [offerUnbalance(unbalance.highest)] : [];
+  return { title, state: judge(moment, voltage), text: text + countDoubtful(moment, grid), offers: [offer(voltage.lowest), offer(voltage.highest), ...most] };
+}
+
+/** What all phases are those of. @param {Grid} grid @param {number} total @returns {string} empty without phases */
+function describeWhole({ nodes, buses }, total) {
+  if (!nodes) return "";
+  return nodes.bus.length === total ? ` of ${counted(buses.id.length, "bus")}` : " with a path to ground";
+}
+
+/** @param {Extreme} extreme @returns {Offer} the bus whose phases differ most */
+function offerUnbalance({ at, value }) {
+  return { label: `${at}: unbalance ${value.toFixed(1)} %`, choice: { kind: "bus", id: at } };
 }
 
 /** @param {Moment} moment @param {Grid} grid @returns {Tile} */
 function findLoadings(moment, grid) {
-  const { summary: { loading, current } } = moment, { operating_limits: { most_loading_percent: most } } = grid;
+  const { summary: { loading, current } } = moment, { operating_limits: { most_loading_percent: most } } = grid, noun = unitOfCount(moment, "branch");
   const title = "Loading", offer = offering(moment, grid, "branch", "loading_percent", " %"), strongest = current.highest ? [offering(moment, grid, "branch", "i_from_a", " A")(current.highest)] : [];
   if (!loading.total && !current.total) return { title, state: "none", text: "Without a scenario no current is known.", offers: [] };
   if (!loading.total) return { title, state: current.known ? "none" : "unknown", text: current.known ? "No branch has a rating; the largest current:" : "No current is known.", offers: strongest };
-  const rest = loading.known === loading.total ? "" : ` ${knownOf(loading, "branch")}.`;
-  if (loading.outside) return { title, state: "bad", text: `${counted(loading.outside, "branch")} above ${most} %.${rest}`, offers: [...loading.worst.slice(0, MOST_OFFERS - 1).map(offer), ...strongest] };
+  const rest = loading.known === loading.total ? "" : ` ${knownOf(loading, noun)}.`;
+  if (loading.outside) return { title, state: "bad", text: `${counted(loading.outside, noun)} above ${most} %.${rest}`, offers: [...loading.worst.slice(0, MOST_OFFERS - 1).map(offer), ...strongest] };
   const text = loading.known ? `At most ${fixed(loading.highest?.value, "loading_percent")} % of ${most} %.${rest}` : rest.trim();
   return { title, state: judge(moment, loading), text, offers: [...(loading.highest ? [offer(loading.highest)] : []), ...strongest] };
 }
@@ -129,10 +149,11 @@ function findAreas({ view, causes }) {
 }
 
 /** @param {Moment} moment @returns {Tile} */
-function findPowers({ summary: { head, load, generation, loss } }) {
+function findPowers(moment) {
+  const { summary: { head, load, generation, loss } } = moment, ofBuses = unitOfCount(moment, "bus"), ofBranches = unitOfCount(moment, "branch");
   const title = "Power", say = (/** @type {string} */ name, /** @type {Total} */ { p_kw: p, known, total }, /** @type {string} */ noun) =>
     p === null ? [] : [`${name}: ${fixed(p, "p_kw")} kW${known < total ? ` (${known} of ${counted(total, noun)})` : ""}`];
-  const words = [...say("head", head, "bus"), ...say("load", load, "bus"), ...(generation.p_kw ? say("generation", generation, "bus") : []), ...say("losses", loss, "branch")];
+  const words = [...say("head", head, ofBuses), ...say("load", load, ofBuses), ...(Number(fixed(generation.p_kw, "p_kw")) ? say("generation", generation, ofBuses) : []), ...say("losses", loss, ofBranches)];
   return { title, state: words.length ? "none" : "unknown", text: words.length ? words.join("\n") : "No power is known.", offers: [] };
 }
 

@@ -1,9 +1,10 @@
 /** Histories: two quantities side by side over one range of time, of what is chosen or of what is kept there. */
 
-import { axis, fitted, valueAxis } from "./charts.js";
+import { axis, fitted, showPhases, valueAxis, writeEnds } from "./charts.js";
 import { csvOf, keep } from "./csv.js";
 import { byId, clock, colour, element, fixed, labelOf, when } from "./format.js";
 import { rangeOf } from "./layout.js";
+import { ALL, lookOf } from "./phases.js";
 
 /** @typedef {import("./types.js").Choice} Choice @typedef {import("./types.js").Moment} Moment */
 /** @typedef {{time: number[], columns: Record<string, (number | null)[]>, complete: boolean}} Past */
@@ -12,9 +13,16 @@ const uPlot = /** @type {any} */ (window).uPlot;
 const HEIGHT = 200;
 const ASK_MS = 2000; // between two times that the past is asked for
 const SIDES = ["Left", "Right"];
-/** @type {Record<string, string[]>} */ const FIRST = { // quantities to begin with, left and right
-  bus: ["vm_pu", "va_deg"], branch: ["p_from_kw", "loading_percent"], meter: ["reading", "normalised_residual"], area: ["quality", "lowest_vm_pu"],
+/** @type {Record<string, string[][]>} */ const FIRST = { // quantities to begin with, left and right: the first that there is
+  bus: [["vm_pu"], ["unbalance_percent", "va_deg"]], branch: [["p_from_kw"], ["neutral_a", "loading_percent"]],
+  meter: [["reading"], ["normalised_residual"]], area: [["quality"], ["lowest_vm_pu"]],
 };
+
+/** @param {string} column such as vm_pu, or vm_pu.a of a phase @returns {[string, string]} quantity and phase */
+function partsOf(column) {
+  const [name, phase = ALL] = column.split(".");
+  return [name, phase];
+}
 
 /** @param {Moment} moment @returns {number} what makes a time of day of its times; 0 where they have none */
 function sinceOf(moment) {
@@ -46,10 +54,11 @@ class Side {
     const label = element("label", "Keep ");
     label.append(this.kept);
     this.reading = document.createElement("output");
+    this.legend = element("span", "", "phases");
     this.holder = element("div");
     this.box = element("div", "", "side");
     const bar = element("div", "", "bar");
-    bar.append(this.title, this.select, label, this.reading);
+    bar.append(this.title, this.select, label, this.legend, this.reading);
     this.box.append(bar, this.holder);
     new ResizeObserver(() => this.chart?.setSize({ width: this.holder.clientWidth, height: HEIGHT })).observe(this.holder);
   }
@@ -59,20 +68,24 @@ class Side {
     this.title.textContent = this.choice ? `${this.choice.kind} ${this.choice.id}` : "";
     if (!this.choice || !past?.time.length) return this.clear();
     const { kind, id } = this.choice, since = sinceOf(moment), isOfDay = moment.mode === "live" || since > 0;
-    const names = Object.keys(past.columns).filter((name) => kind !== "meter" || name !== "estimate");
-    const usual = names.includes(FIRST[kind][this.place]) ? FIRST[kind][this.place] : names[0];
-    const name = this.wanted.get(kind) ?? usual, all = names.join(" ");
+    const columns = Object.keys(past.columns).filter((column) => kind !== "meter" || column !== "estimate");
+    const names = [...new Set(columns.map((column) => partsOf(column)[0]))];
+    const usual = FIRST[kind][this.place].find((each) => names.includes(each)) ?? names[0];
+    const wanted = this.wanted.get(kind) ?? usual, name = names.includes(wanted) ? wanted : usual, all = names.join(" ");
     if (this.names !== all) {
       this.names = all;
       this.select.replaceChildren(...names.map((each) => new Option(labelOf(each), each)));
     }
     this.select.value = name;
-    const shown = name === "reading" ? [name, "estimate"] : [name], data = [past.time.map((at) => at + since), ...shown.map((each) => past.columns[each])];
-    const of = JSON.stringify([kind, id, name]);
+    const shown = name === "reading" ? [name, "estimate"] : columns.filter((column) => partsOf(column)[0] === name);
+    const data = [past.time.map((at) => at + since), ...shown.map((each) => past.columns[each])], phases = shown.map((column) => partsOf(column)[1]);
+    const of = JSON.stringify([kind, id, shown]);
     if (this.of === of) return this.chart.setData(data);
     this.clear();
     this.of = of;
-    const styles = [{ stroke: () => colour("--mark"), width: 1.5 }, { stroke: () => colour("--good"), width: 1.5, dash: [4, 3] }];
+    showPhases(this.legend, phases);
+    const styles = name === "reading" ? [{ stroke: () => colour("--mark"), width: 1.5 }, { stroke: () => colour("--good"), width: 1.5, dash: [4, 3] }]
+      : phases.map(lookOf).map(({ ink, dash }) => ({ stroke: () => colour(ink), width: 1.5, dash }));
     const label = name === "reading" ? "reading, dashed: estimate" : name === "quality" ? "quality (0 is good)" : labelOf(name);
     const ticks = { values: (/** @type {any} */ _, /** @type {number[]} */ at) => at.map(clock), space: 70 };
     this.chart = new uPlot({
@@ -81,21 +94,33 @@ class Side {
       scales: { x: { time: isOfDay, range: (/** @type {any} */ chart) => rangeOf(chart.data[0], this.all.range) }, y: fitted() },
       axes: [isOfDay ? { ...axis(""), ...ticks } : axis("time (s)"), { ...valueAxis(label), size: 76 }],
       cursor: { sync: { key: "histories" }, y: false, drag: { setScale: false } },
-      series: [{}, ...styles.slice(0, shown.length)],
+      series: [{}, ...styles],
       hooks: {
-        setCursor: [(/** @type {any} */ chart) => this.read(chart, name)],
+        setCursor: [(/** @type {any} */ chart) => this.read(chart, name, phases)],
         setSelect: [(/** @type {any} */ chart) => this.zoom(chart)],
-        draw: [(/** @type {any} */ chart) => this.drawMoment(chart)],
+        draw: [(/** @type {any} */ chart) => this.drawMoment(chart), (/** @type {any} */ chart) => this.drawEnds(chart, phases)],
       },
     }, data, this.holder);
   }
 
-  /** What the chart has where the pointer is. @param {any} chart @param {string} name */
-  read(chart, name) {
+  /** What the chart has where the pointer is. @param {any} chart @param {string} name @param {string[]} phases */
+  read(chart, name, phases) {
     const k = chart.cursor.idx, { moment } = this.all;
     if (k === null || k === undefined || !moment || !chart.data[0].length) return void (this.reading.textContent = "");
     const values = chart.data.slice(1).map((/** @type {(number|null)[]} */ column) => fixed(column[k], name));
-    this.reading.textContent = `${when(moment, chart.data[0][k] - sinceOf(moment))}: ${values.join(", estimate ")}`;
+    const said = name === "reading" ? values.join(", estimate ") : phases.map((phase, n) => (phase === ALL ? values[n] : `${phase} ${values[n]}`)).join(", ");
+    this.reading.textContent = `${when(moment, chart.data[0][k] - sinceOf(moment))}: ${said}`;
+  }
+
+  /** The letter of each phase at the newest value that is shown. @param {any} chart @param {string[]} phases */
+  drawEnds(chart, phases) {
+    const { left, width } = chart.bbox, [times] = chart.data;
+    writeEnds(chart, phases.flatMap((phase, n) => {
+      if (phase === ALL) return [];
+      const values = chart.data[n + 1], x = (/** @type {number} */ k) => chart.valToPos(times[k], "x", true);
+      const k = values.findLastIndex((/** @type {number | null} */ value, /** @type {number} */ at) => value !== null && x(at) <= left + width);
+      return k < 0 || x(k) < left ? [] : [{ phase, x: x(k), y: chart.valToPos(values[k], "y", true) }];
+    }));
   }
 
   /** To what was marked with the pointer. @param {any} chart */
@@ -130,6 +155,7 @@ class Side {
     this.chart = null;
     this.of = "";
     this.reading.textContent = "";
+    showPhases(this.legend, []);
   }
 }
 

@@ -31,7 +31,7 @@ let heardAt = 0;
 const feeder = new Feeder(/** @type {HTMLCanvasElement} */ (byId("drawing")), /** @type {HTMLCanvasElement} */ (byId("print")), choose);
 const glance = new Glance(choose);
 const tables = new Tables(choose, ask, showAgain);
-const selected = new Selected(ask), histories = new Histories(ask);
+const selected = new Selected(ask, choose), histories = new Histories(ask);
 const banner = new CauseBanner(), alarms = new Alarms(), events = new Events();
 let isChosen = false; // by a person; until then the worst is selected
 
@@ -106,6 +106,7 @@ async function take(found) {
 /** Part after part, so that nobody who types or clicks waits for all of them. @param {Moment} found */
 async function show(found) {
   moment = found;
+  document.body.classList.toggle("by-phase", found.summary.has_phases);
   selectWorst(found);
   const parts = [
     showStatus, () => alarms.show(found), () => glance.show(found, grid), () => feeder.show(found), () => selected.show(found, grid),

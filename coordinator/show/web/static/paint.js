@@ -3,6 +3,7 @@
 import { gradeOf, placesOf } from "./cause.js";
 import { entryOf, qualityClass } from "./format.js";
 import { findShapes, keepApart, middle, nearest, placeBuses, stepOf, usualLength } from "./layout.js";
+import { ALL, nameOf } from "./phases.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Painting} Painting @typedef {import("./types.js").Palette} Palette */
 /** @typedef {import("./types.js").Cause} Cause */
@@ -111,7 +112,7 @@ function paintBranches({ context, grid, moment, choice, at, row, palette }) {
   branches.id.forEach((id, k) => {
     const from = row.get(branches.from_bus[k]), to = row.get(branches.to_bus[k]);
     if (from === undefined || to === undefined) return;
-    const isFresh = moment?.freshBranches[k] ?? false, percent = isFresh ? Number(loading[k] ?? 0) : 0, isChosen = choice?.kind === "branch" && choice.id === id;
+    const isFresh = moment?.freshBranches[k] ?? false, percent = isFresh ? Number(loading[k]?.value ?? 0) : 0, isChosen = choice?.kind === "branch" && choice.id === id;
     const wide = named.has(id) ? 7 : isChosen ? 5 : Math.round(2 * (1.5 + 2.5 * Math.min(1, percent / most))) / 2;
     const ink = percent > most || named.has(id) ? "--bad" : isChosen ? "--mark" : isFresh ? "--faint" : "--line";
     const style = `${ink} ${wide} ${branches.in_service[k] ? 0 : 4}`;
@@ -136,7 +137,8 @@ function paintBranches({ context, grid, moment, choice, at, row, palette }) {
 
 /** @param {Canvas} canvas */
 function paintBuses(canvas) {
-  const { context, grid, at, palette, width, height } = canvas, values = voltagesOf(canvas);
+  const { context, grid, at, palette, width, height } = canvas, phases = canvas.moment?.worst;
+  /** @type {(number | null)[]} */ const values = grid.buses.id.map((_, k) => phases?.[k]?.value ?? null); // p.u.; null where none of now is known
   const n = grid.buses.id.length, size = n > 1500 ? 2 : n > 300 ? 3.5 : 5;
   const seen = at.flatMap(([x, y], k) => (x > -9 && y > -9 && x < width + 9 && y < height + 9 ? [k] : []));
   const { lowest_vm_pu: low, highest_vm_pu: high } = grid.operating_limits;
@@ -163,22 +165,12 @@ function paintBuses(canvas) {
   context.textAlign = "center";
   const ringed = new Set(findRinged(canvas)), chosen = canvas.choice?.kind === "bus" ? canvas.choice.id : null;
   const reachOf = (/** @type {number} */ k) => (ringed.has(k) || String(grid.buses.id[k]) === chosen ? RINGED : grid.buses.areas[k].length > 1 ? size + 5 : size);
-  const numbers = seen.map((k) => ({ text: String(grid.buses.id[k]), x: at[k][0], y: at[k][1] + reachOf(k) + 12, reach: reachOf(k) })).sort((one, other) => other.reach - one.reach);
+  const numbers = seen.map((k) => ({ text: nameOf(String(grid.buses.id[k]), phases?.[k]?.phase ?? ALL), x: at[k][0], y: at[k][1] + reachOf(k) + 12, reach: reachOf(k) })).sort((one, other) => other.reach - one.reach);
   const boxOf = (/** @type {{text: string, x: number, y: number}} */ { text, x, y }) => {
     const wide = context.measureText(text).width;
     return { x: x - wide / 2, y, width: wide, height: LABEL - 2 };
   };
   for (const { text, x, y } of keepApart(numbers, boxOf)) write(canvas, text, x, y, "--ink");
-}
-
-/** @param {Canvas} canvas @returns {(number | null)[]} p.u., of each bus of the grid; null if no value of now is known */
-function voltagesOf({ grid, moment, row }) {
-  /** @type {(number | null)[]} */ const values = grid.buses.id.map(() => null);
-  moment?.bus.forEach((bus, k) => {
-    const place = row.get(bus);
-    if (place !== undefined && moment.fresh[k]) values[place] = moment.vm[k] ?? null;
-  });
-  return values;
 }
 
 /** @param {Context} context @param {Point} point @param {number} size */

@@ -2,11 +2,20 @@
 
 import { byId, element, entryOf, fixed, labelOf, number, qualityClass, unitOf } from "./format.js";
 import { countReceived } from "./links.js";
+import { ALL, lookOf } from "./phases.js";
+import { Rows } from "./rows.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Moment} Moment */
-/** @typedef {import("./types.js").Choice} Choice @typedef {import("./types.js").Rows} Rows */
+/** @typedef {import("./types.js").Choice} Choice */
+/** @typedef {import("./types.js").Columns} Columns */
 /** @typedef {[string, string, string?]} Fact its name, what it is, and the class of its colour */
+/** @typedef {{phases: string[], rows: string[][]}} ByPhase a row for each quantity: its name, each phase, all of them together */
 
+export const FINE = ["used", "critical", "not received"]; // statuses of meters
+const MOST_METERS = 30; // of one bus or branch
+const QUANTITIES = ["vm_pu", "sigma_vm_pu", "vm_kv", "va_deg", "sigma_va_deg", "p_kw", "q_kvar", "p_from_kw", "q_from_kvar", "i_from_a", "i_to_a", "loading_percent"];
+const SUMMED = ["p_kw", "q_kvar", "p_from_kw", "q_from_kvar"]; // over the phases
+const TO_GROUND = ["vm_pu", "sigma_vm_pu", "vm_kv", "va_deg", "sigma_va_deg"]; // means nothing without a path to ground
 const ABOUT = ["id", "meter", "quality", "value_age_s", "fresh"]; // columns that are no values
 
 /** @param {Moment} moment @param {string} id @returns {Fact[]} */
@@ -27,7 +36,8 @@ function describeArea(moment, id) {
 
 /** @param {Grid} grid @param {Choice} choice @returns {Fact[]} what of it does not change */
 function describePlace(grid, { kind, id }) {
-  const place = kind === "bus" ? grid.buses.id.indexOf(Number(id)) : -1;
+  const place = kind === "bus" ? grid.buses.id.indexOf(Number(id)) : -1, branch = kind === "branch" && grid.conductors ? grid.branches.id.indexOf(id) : -1;
+  if (branch >= 0) return [["from", String(grid.branches.from_bus[branch])], ["to", String(grid.branches.to_bus[branch])]];
   if (place < 0) return [];
   const name = grid.buses.name[place], kv = grid.buses.base_kv[place];
   /** @type {Fact[]} */ const given = [...(name ? [/** @type {Fact} */ (["name", name])] : []), ...(kv === null ? [] : [/** @type {Fact} */ (["base kV", number(kv)])])];
@@ -57,12 +67,77 @@ export function describeRow(row) {
   })];
 }
 
+/** @param {Columns} row @returns {boolean} rows of phases, of a bus or branch */
+function isByPhase({ phase = [], meter }) {
+  return !meter && phase.some((each) => each !== ALL);
+}
+
+/** @param {Columns} rows @param {string} name @returns {number | null} the sum over all phases, null unless all are known */
+function sumOf(rows, name) {
+  const values = rows[name] ?? [];
+  return values.every((value) => typeof value === "number") ? values.reduce((sum, value) => sum + Number(value), 0) : null;
+}
+
+/** @param {Columns} rows of all phases of a bus or branch @returns {ByPhase} */
+export function tabulatePhases(rows) {
+  const isGrounded = rows.grounded?.[0] !== false, alike = sameAs(rows, "i_from_a", "i_to_a") ? ["i_to_a"] : [];
+  const shown = QUANTITIES.filter((name) => rows[name]?.some((value) => value !== null) && !alike.includes(name) && (isGrounded || !TO_GROUND.includes(name)));
+  return {
+    phases: rows.phase.map(String),
+    rows: shown.map((name) => [
+      labelOf(name), ...rows[name].map((value) => (isGrounded ? fixed(value, name) : "-")), SUMMED.includes(name) ? fixed(sumOf(rows, name), name) : "",
+    ]),
+  };
+}
+
+/** @param {Columns} rows @param {string} one @param {string} other @returns {boolean} they are shown alike in each row */
+function sameAs(rows, one, other) {
+  return rows[one]?.every((value, k) => fixed(value, one) === fixed(rows[other]?.[k], one)) ?? false;
+}
+
+/** @param {Columns} rows of a bus without a path to ground @returns {Fact[]} the voltages between its phases */
+function describeBetween({ phase, vm_kv: kv = [], va_deg: deg = [] }) {
+  const pairs = phase.length === 3 ? [[0, 1], [1, 2], [2, 0]] : phase.length === 2 ? [[0, 1]] : [];
+  return pairs.map(([i, j]) => {
+    const [x, y] = [Math.cos, Math.sin].map((part) => [i, j].map((k) => Number(kv[k]) * part((Number(deg[k]) * Math.PI) / 180)));
+    const isKnown = [kv[i], kv[j], deg[i], deg[j]].every((value) => typeof value === "number");
+    return [`voltage ${phase[i]} to ${phase[j]} (kV)`, isKnown ? fixed(Math.hypot(x[0] - x[1], y[0] - y[1]), "vm_kv") : "-"];
+  });
+}
+
+/** @param {Columns} rows of all phases of a bus or branch @returns {Fact[]} what holds for all of them together */
+export function describeTogether(rows) {
+  const { quality: [quality] = [], fresh: [fresh] = [], value_age_s: [age] = [], phase } = rows, look = fresh === false ? "old" : "";
+  const first = (/** @type {string} */ name) => rows[name]?.find((value) => value !== null);
+  const loading = rows.loading_percent?.some((value) => value !== null) ? "loading_percent" : "i_from_a", loads = (rows[loading] ?? []).map((value, k) => Math.max(Number(value ?? -1), loading === "i_from_a" ? Number(rows.i_to_a?.[k] ?? -1) : -1));
+  /** @type {Fact[]} */ const facts = [
+    ["quality of its area", String(quality), qualityClass(String(quality))], ["values", ageOf(fresh, age), fresh === false ? "bad" : ""],
+    ...["area", "injection_problem"].flatMap((name) => (rows[name]?.[0] ? [/** @type {Fact} */ ([labelOf(name), String(rows[name][0])])] : [])),
+    ["phases", phase.join(", ")],
+  ];
+  for (const name of ["unbalance_percent", "neutral_a"]) if (first(name) !== undefined) facts.push([labelOf(name), fixed(first(name), name), look]);
+  if (loads.length > 1 && Math.max(...loads) > 0) {
+    const k = loads.indexOf(Math.max(...loads));
+    facts.push(["most loaded phase", `${phase[k]}, ${fixed(loads[k], loading)} ${loading === "i_from_a" ? "A" : "%"}`, look]);
+  }
+  if (rows.loss_kw) facts.push([`${labelOf("loss_kw")}, all phases`, fixed(sumOf(rows, "loss_kw"), "loss_kw"), look]);
+  if (rows.grounded?.[0] === false) facts.push(["path to ground", "none: only voltages between phases mean anything"], ...describeBetween(rows));
+  return facts;
+}
+
 export class Selected {
-  /** @param {(path: string) => Promise<any>} ask */
-  constructor(ask) {
+  /** @param {(path: string) => Promise<any>} ask @param {(choice: Choice) => void} onChoose */
+  constructor(ask, onChoose) {
     this.ask = ask;
+    this.onChoose = onChoose;
+    /** @type {Rows | null} */ this.table = null; // of the phases
+    this.phases = ""; // its columns
+    this.meters = new Rows("meters-there", "Meters there", [
+      { title: "Meter" }, { title: "Phase" }, { title: "Reading", number: true }, { title: "Estimate", number: true },
+    ]);
+    /** @type {Columns} */ this.there = {}; // the meters at the choice
     /** @type {Choice | null} */ this.choice = null;
-    /** @type {Rows | null} */ this.found = null; // of the choice
+    /** @type {import("./types.js").Rows | null} */ this.found = null; // of the choice
     /** @type {[Moment, Grid] | null} */ this.shown = null;
     /** @type {Promise<void> | null} */ this.asking = null;
   }
@@ -71,6 +146,7 @@ export class Selected {
   choose(choice) {
     this.choice = choice;
     this.found = null;
+    this.there = {};
   }
 
   /** @param {Moment} moment @param {Grid} grid */
@@ -86,11 +162,38 @@ export class Selected {
   write(moment, grid) {
     const { choice, found } = this;
     /** @type {Fact[]} */ let facts = [];
+    const byPhase = found && isByPhase(found.rows) ? found.rows : null;
     if (choice?.kind === "area") facts = describeArea(moment, choice.id);
     else if (choice) {
-      facts = [[choice.kind, choice.id], ...describePlace(grid, choice), ...(found?.total ? describeRow(found.rows) : [])];
+      facts = [[choice.kind, choice.id], ...describePlace(grid, choice), ...(byPhase ? describeTogether(byPhase) : found?.total ? describeRow(found.rows) : [])];
     }
+    this.writePhases(byPhase);
     byId("facts").replaceChildren(...facts.flatMap(([name, value, look]) => [element("dt", name), element("dd", value, look)]));
+  }
+
+  /** A column for each phase, and the meters there. @param {Columns | null} found */
+  writePhases(found) {
+    const { meter = [], status, phase, reading, estimate, unit } = this.there;
+    byId("by-phase").hidden = !found;
+    byId("there").hidden = !found || !meter.length;
+    if (!found) return;
+    const { phases, rows } = tabulatePhases(found), columns = phases.join(), quality = found.quality?.[0], isOld = found.fresh?.[0] === false;
+    if (this.table === null || this.phases !== columns) {
+      this.phases = columns;
+      this.table = new Rows("by-phase", "Each phase", [
+        { title: "" }, ...phases.map((each) => ({ title: `${lookOf(each).sign} ${each}`, number: true })), { title: "all", number: true },
+      ]);
+    }
+    byId("by-phase").querySelector("caption")?.replaceChildren(`Each phase${quality === undefined || quality === "good" ? "" : ` (${quality})`}`);
+    void this.table.show(rows.map((cells) => ({ cells, old: isOld })));
+    void this.meters.show(meter.slice(0, MOST_METERS).map((id, k) => {
+      const isFine = FINE.includes(String(status[k])), of = String(unit?.[k] ?? "");
+      return {
+        cells: [String(id), `${phase?.[k] ?? "-"}${isFine ? "" : `, ${status[k]}`}`, `${fixed(reading[k], of)} ${unitOf(unit?.[k])}`, fixed(estimate[k], of)],
+        className: isFine ? "" : "bad",
+        choose: () => this.onChoose({ kind: "meter", id: String(id) }),
+      };
+    }));
   }
 
   /** One question after the other, the last one about what is shown then: a slow answer makes no queue. */
@@ -100,8 +203,10 @@ export class Selected {
       if (!choice || choice.kind === "area") return;
       const frame = moment.mode === "playback" ? `&frame=${moment.number}` : "";
       const found = await this.ask(`/api/rows?kind=${choice.kind}&id=${encodeURIComponent(choice.id)}${frame}`).catch(() => null);
+      const there = found && isByPhase(found.rows) ? await this.ask(`/api/rows?kind=meter&at=${encodeURIComponent(choice.id)}${frame}`).catch(() => null) : null;
       if (!found || choice !== this.choice) continue; // the next moment asks again
       this.found = found;
+      this.there = there?.rows ?? {};
       this.write(moment, grid);
     }
   }

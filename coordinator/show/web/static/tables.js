@@ -1,18 +1,17 @@
-/** Areas, meters and messages as tables; rows are reused, so that nothing flickers and focus stays. */
+/** Areas, meters and messages as tables. */
 
-import { csvOf, csvOfColumns, keep } from "./csv.js";
-import { byId, element, entryOf, fixed, nextPicture, number, qualityClass, unitOf, when } from "./format.js";
+import { csvOfColumns, keep } from "./csv.js";
+import { byId, entryOf, fixed, nextPicture, number, qualityClass, unitOf, when } from "./format.js";
 import { countReceived } from "./links.js";
-import { ageOf } from "./selected.js";
+import { Rows } from "./rows.js";
+import { ageOf, FINE } from "./selected.js";
 
 /** @typedef {import("./types.js").AreaView} AreaView @typedef {import("./types.js").Moment} Moment @typedef {import("./types.js").Choice} Choice */
 
-const FINE = ["used", "critical", "not received"];
 const MOST_METERS = 100;
 const MOST_AREAS = 200;
 /** @type {Record<string, string>} */ const CSV_OF = { meter: "meters-csv", bus: "buses-csv", branch: "branches-csv" }; // kind of row -> its button
 const MOST_ROWS = 1000; // of one request
-const SLICE = 25; // rows that are laid out at once
 
 /**
  * Where there are very many: those that are not good, then good ones, then those that have never published.
@@ -22,73 +21,6 @@ function chooseAreas(areas) {
   if (areas.length <= MOST_AREAS) return areas;
   const rank = (/** @type {AreaView} */ area) => (area.age_s === null ? 2 : area.quality === "good" ? 1 : 0);
   return [...areas].sort(([, one], [, other]) => rank(one) - rank(other)).slice(0, MOST_AREAS);
-}
-
-export class Rows {
-  /**
-   * @param {string} id of the table @param {string} caption
-   * @param {{title: string, number?: boolean}[]} columns
-   */
-  constructor(id, caption, columns) {
-    const table = byId(id), head = document.createElement("tr");
-    table.replaceChildren(element("caption", caption), element("thead"), element("tbody"));
-    for (const column of columns) {
-      const cell = element("th", column.title, column.number ? "number" : "");
-      cell.setAttribute("scope", "col");
-      head.append(cell);
-    }
-    /** @type {HTMLElement} */ (table.querySelector("thead")).append(head);
-    this.body = /** @type {HTMLElement} */ (table.querySelector("tbody"));
-    this.columns = columns;
-    /** @type {string[][]} */ this.shown = [];
-  }
-
-  /**
-   * @param {{cells: string[], className?: string, choose?: () => void, chosen?: boolean, old?: boolean}[]} rows
-   * whose first cell is a button where a row can be chosen; `old`: its values are not of now
-   */
-  async show(rows) {
-    this.shown = rows.map(({ cells }) => cells);
-    while (this.body.children.length > rows.length) this.body.lastElementChild?.remove();
-    for (const [k, row] of rows.entries()) {
-      if (k && k % SLICE === 0) await nextPicture();
-      const line = /** @type {HTMLTableRowElement} */ (this.body.children[k] ?? this.add());
-      line.className = `${row.chosen ? "chosen" : ""} ${row.old ? "old" : ""}`.trim();
-      row.cells.forEach((text, c) => {
-        const cell = line.cells[c];
-        if (c === 0 && row.choose) {
-          let button = /** @type {HTMLButtonElement | null} */ (cell.querySelector("button"));
-          if (!button) {
-            button = /** @type {HTMLButtonElement} */ (element("button"));
-            button.type = "button";
-            cell.replaceChildren(button);
-          }
-          if (button.textContent !== text) button.textContent = text;
-          button.onclick = row.choose;
-        } else if (cell.textContent !== text) {
-          cell.textContent = text;
-        }
-        const look = `${this.columns[c].number ? "number" : ""} ${c === 1 ? row.className ?? "" : ""} ${text === "-" || text === "" ? "empty" : ""}`.trim();
-        if (cell.className !== look) cell.className = look;
-      });
-    }
-  }
-
-  add() {
-    const line = document.createElement("tr");
-    for (const column of this.columns) {
-      const cell = element("td");
-      cell.dataset.title = column.title; // where a row is a card
-      line.append(cell);
-    }
-    this.body.append(line);
-    return line;
-  }
-
-  /** @returns {string} as it is shown */
-  csv() {
-    return csvOf(this.columns.map(({ title }) => title), this.shown.map((cells) => cells.map((text) => (text === "-" ? "" : text))));
-  }
 }
 
 export class Tables {
@@ -110,17 +42,22 @@ export class Tables {
       { title: "Worst normalised residual" }, { title: "Age (s)", number: true }, { title: "Readings of" },
       { title: "Exchanges", number: true }, { title: "Messages", number: true }, { title: "Lost", number: true },
     ]);
-    this.meters = new Rows("meters", "Readings and estimates, the farthest off first.", [
-      { title: "Meter" }, { title: "Status" }, { title: "Area" }, { title: "Reading", number: true },
-      { title: "Estimate", number: true }, { title: "Unit" }, { title: "Quality" }, { title: "Normalised residual", number: true },
-      { title: "Age (s)", number: true },
-    ]);
+    this.hasPhases = false; // of the meters
+    this.meters = this.makeMeters();
     this.messages = new Rows("messages", "Messages on their way at this moment.", [
       { title: "From" }, { title: "To" }, { title: "Kind" }, { title: "Sent (s)", number: true }, { title: "What became of it" },
     ]);
     for (const kind of ["meter", "bus", "branch"]) byId(CSV_OF[kind]).addEventListener("click", () => this.keepAll(kind));
     byId("areas-csv").addEventListener("click", () => keep("areas.csv", this.areas.csv()));
     byId("messages-csv").addEventListener("click", () => keep("messages.csv", this.messages.csv()));
+  }
+
+  makeMeters() {
+    return new Rows("meters", "Readings and estimates, the farthest off first.", [
+      { title: "Meter" }, { title: "Status" }, { title: "Area" }, ...(this.hasPhases ? [{ title: "Phase" }] : []), { title: "Reading", number: true },
+      { title: "Estimate", number: true }, { title: "Unit" }, { title: "Quality" }, { title: "Normalised residual", number: true },
+      { title: "Age (s)", number: true },
+    ]);
   }
 
   /** @param {Moment} moment */
@@ -152,7 +89,11 @@ export class Tables {
   async showMeters(moment, is) {
     const counts = moment.meter_counts, count = Object.values(counts).reduce((sum, n) => sum + n, 0);
     if (this.first >= count) this.first = 0;
-    const meters = await this.findMeters(moment), shown = meters.meter?.length ?? 0;
+    const meters = await this.findMeters(moment), shown = meters.meter?.length ?? 0, hasPhases = meters.phase !== undefined;
+    if (shown && hasPhases !== this.hasPhases) {
+      this.hasPhases = hasPhases;
+      this.meters = this.makeMeters();
+    }
     const some = shown < count ? `; ${this.first + 1} to ${this.first + shown} are shown` : "";
     const rest = Object.entries(counts).filter(([status]) => status !== "used" && status !== "critical").map(([status, n]) => `, ${n} ${status}`);
     byId("meters-note").textContent = count ? `${count} meters${rest.join("")}${some}.` : "No readings are known.";
@@ -164,7 +105,7 @@ export class Tables {
       const isOld = meters.fresh?.[k] === false, quality = isOld && area ? `${area.quality}, ${ageOf(true, area.value_age_s)}` : area?.quality ?? "-";
       return {
         cells: [
-          String(meter), String(meters.status[k]), String(meters.area[k]), fixed(meters.reading[k], unit), fixed(meters.estimate[k], unit),
+          String(meter), String(meters.status[k]), String(meters.area[k]), ...(this.hasPhases ? [String(meters.phase?.[k] ?? "-")] : []), fixed(meters.reading[k], unit), fixed(meters.estimate[k], unit),
           unitOf(meters.unit?.[k]), quality, fixed(meters.normalised_residual?.[k], "normalised_residual"), fixed(meters.age_s[k], "age_s"),
         ],
         className: FINE.includes(String(meters.status[k])) ? "" : "bad",

@@ -88,7 +88,11 @@ def test_the_summary_counts_nodes_and_conductors_and_causes_name_them(all_good: 
     assert summary.voltage.lowest is not None
     lowest = int(np.argmin(tables.buses.vm_pu))
     assert summary.voltage.lowest.at == NETWORK.node_names[lowest]
-    assert "has_phases" not in describe_summary(summary)
+    assert describe_summary(summary)["has_phases"]
+    three = {bus.id for bus in NETWORK.buses if len(NETWORK.nodes_at(bus.id)) == 3}
+    assert (summary.unbalance.known, summary.unbalance.total) == (len(three), len(three))
+    assert summary.unbalance.highest is not None
+    assert summary.unbalance.highest.value == pytest.approx(np.nanmax(tables.buses.unbalance_percent))
     loss = np.nansum(results_of_power_flow(FLOW).branches.loss_kw) if FLOW else 0.0
     assert summary.loss.p_kw == pytest.approx(loss)
     limits = replace(summary.limits, lowest_vm=summary.voltage.lowest.value + 1e-6)
@@ -98,6 +102,7 @@ def test_the_summary_counts_nodes_and_conductors_and_causes_name_them(all_good: 
     assert cause.buses == (int(tables.buses.bus[lowest]),)
     text = format_view(view, [tables.buses], [], summary)
     assert f"{NETWORK.n_nodes} nodes" in text
+    assert f"% at bus {summary.unbalance.highest.at}" in text
     assert f"\n{NETWORK.node_names[lowest]} " in text
 
 
