@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Collection, Iterator
 from itertools import repeat
 from pathlib import Path
@@ -15,13 +16,13 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.files.strict_table import load_strict
 from dsse_core.files.wording import describe_unknown
-from dsse_core.grid.boundary import boundary_at, boundary_of, find_wrong_name
+from dsse_core.grid.boundary import Boundary, boundary_of, find_wrong_name
 from dsse_core.grid.gauge import Gauge
 from dsse_core.grid.loads import Load
 from dsse_core.grid.measurement import Meter, find_meter_problems
 from dsse_core.grid.network import Branch, Bus, Generator, Network
 from dsse_core.grid.nodes import PHASE_ANGLE, list_phases
-from dsse_core.grid.partition import Area, Neighbour
+from dsse_core.grid.partition import Area, Neighbour, find_foreign
 from dsse_core.grid.physical_ranges import find_range_problems
 from dsse_core.link_faults import LinkFaults
 from dsse_core.reading_rules import KindRule, ReadingRules
@@ -76,7 +77,7 @@ def _area_of(t: Any, network: Network) -> Area:
     return Area(
         name=t.area,
         network=network,
-        neighbours=tuple(Neighbour(n.area, n.bus, n.is_parent, n.variables) for n in t.neighbour),
+        neighbours=tuple(map(_neighbour_of, t.neighbour)),
         slack_bus=t.local_slack.bus,
         slack_vm=t.local_slack.vm,
         reference=(t.reference.bus, t.reference.va) if t.reference else None,
@@ -124,7 +125,7 @@ def _find_problems(t: Any) -> Iterator[str]:
     for i, n in enumerate(t.neighbour):
         if n.bus not in buses:
             yield f"neighbour[{i + 1}].bus: bus {n.bus} is not in the network"
-        if wrong := n.variables and _find_wrong_variables(t, n, buses):
+        if wrong := n.variables and _find_wrong_variables(n, buses):
             yield f"neighbour[{i + 1}].variables: {wrong}"
         if n.area == t.area:
             yield f"neighbour[{i + 1}].area: {n.area} is the area itself"
@@ -135,10 +136,8 @@ def _find_problems(t: Any) -> Iterator[str]:
             yield f"{key}.bus: bus {bus} is not in the network"
     controls = zip(_values_of(t.network.generator, "control"), _values_of(t.network.generator, "bus"), strict=False)
     substations = [bus for control, bus in controls if control == "slack"]
-    at_parent = [
-        bus for n in t.neighbour if n.is_parent for bus in _buses_of(n)
-    ]  # where the parent may have the substation
-    if t.reference and t.reference.bus in buses and t.reference.bus not in (*substations, *at_parent):
+    foreign = find_foreign(t.area, _boundaries_of(t).values())  # where another area may have the substation
+    if t.reference and t.reference.bus in buses and t.reference.bus not in (*substations, *foreign):
         yield (
             f"reference.bus: bus {t.reference.bus} is not the substation, from which all angles count; "
             "leave [reference] out"
@@ -156,30 +155,30 @@ def _find_problems(t: Any) -> Iterator[str]:
         yield "endpoints: is empty; name a router, or give listen, where neighbours link with this area"
 
 
-def _find_wrong_variables(t: Any, neighbour: Any, buses: Collection[int]) -> str:
-    """Problem of the variables that the area and ``neighbour`` share; empty if there is none."""
+def _find_wrong_variables(neighbour: Any, buses: Collection[int]) -> str:
+    """Problem of the variables that the edge to ``neighbour`` carries; empty if there is none."""
     if wrong := find_wrong_name(neighbour.variables):
         return f"has {wrong}; write them as the split has"
-    boundary = boundary_of(neighbour.variables)
-    if missing := sorted({*boundary.buses} - {*buses}):
+    there = boundary_of(neighbour.variables).buses
+    if missing := sorted({*there} - {*buses}):
         return f"bus {missing[0]} is not in the network"
-    child = t.area if neighbour.is_parent else neighbour.area
-    places = {bus: f"{bus}.{phases}" if phases else bus for bus, phases in boundary.phases.items()}
-    first = places.pop(neighbour.bus, neighbour.bus)
-    expected = boundary_at((first, *places.values()), child).names
-    return "" if neighbour.variables == expected else f"must be {list(expected)} where these areas meet at these buses"
+    return "" if neighbour.bus in there else f"lacks bus {neighbour.bus}, where these areas meet"
 
 
-def _buses_of(neighbour: Any) -> tuple[int, ...]:
-    is_named = neighbour.variables and not find_wrong_name(neighbour.variables)
-    return boundary_of(neighbour.variables).buses if is_named else (neighbour.bus,)
+def _boundaries_of(t: Any) -> dict[int, Boundary]:
+    """Place of each neighbour -> what its edge carries, where the names of the variables are right."""
+    is_right = (not (n.variables and find_wrong_name(n.variables)) for n in t.neighbour)
+    pairs = zip(t.neighbour, is_right, strict=True)
+    return {i: _neighbour_of(n).boundary_of(t.area) for i, (n, is_named) in enumerate(pairs) if is_named}
+
+
+def _neighbour_of(n: Any) -> Neighbour:
+    return Neighbour(n.area, n.bus, n.is_parent, n.variables)
 
 
 def _find_phase_problems(t: Any, network: Network) -> Iterator[str]:
     """Problems of boundaries and of the unloaded grid that lack phases of the network, or have others than it."""
-    for i, n in enumerate(t.neighbour):
-        if n.bus in network.row and not (n.variables and find_wrong_name(n.variables)):
-            yield from _find_boundary_problems(f"neighbour[{i + 1}].variables", n, network)
+    yield from _find_boundary_problems(t, network)
     no_load, nodes = [str(place) for place, _, _ in t.exchange.no_load], network.node_names
     if network.table.nodes.is_balanced:
         yield from (f"exchange.no_load: bus {place} is not in the network" for place in sorted({*no_load} - {*nodes}))
@@ -195,16 +194,22 @@ def _find_phase_problems(t: Any, network: Network) -> Iterator[str]:
                 yield f"exchange.no_load: {nodes[node]} is not at {expected:.6g} rad, where reference.va puts it"
 
 
-def _find_boundary_problems(key: str, neighbour: Any, network: Network) -> Iterator[str]:
-    """Phases of a boundary that its buses do not have; a child has those of its branches, and no others, there."""
-    phases = boundary_of(neighbour.variables).phases if neighbour.variables else {neighbour.bus: ""}
-    for bus, found in phases.items():
-        if bus not in network.row:
-            continue
-        there = network.bus(bus).phases
-        may_have_fewer = not neighbour.is_parent and bool(found and there)
-        if found != there and not (may_have_fewer and {*list_phases(found)} < {*list_phases(there)}):
-            yield f"{key}: has phases {found!r} at bus {bus}, which has {there!r} here; write them as the split has"
+def _find_boundary_problems(t: Any, network: Network) -> Iterator[str]:
+    """Phases of a boundary that its buses do not have. A bus of another area has the phases of all its boundaries."""
+    boundaries = _boundaries_of(t)
+    foreign = find_foreign(t.area, boundaries.values())
+    beyond = Counter(bus for boundary in boundaries.values() for bus in boundary.buses)
+    for i, boundary in boundaries.items():
+        for bus, found in boundary.phases.items():
+            if bus not in network.row:
+                continue
+            there = network.bus(bus).phases
+            may_have_fewer = (bus not in foreign or beyond[bus] > 1) and bool(found and there)
+            if found != there and not (may_have_fewer and {*list_phases(found)} < {*list_phases(there)}):
+                yield (
+                    f"neighbour[{i + 1}].variables: has phases {found!r} at bus {bus}, which has {there!r} here; write "
+                    "them as the split has"
+                )
 
 
 def _find_telemetry_problems(t: Any) -> Iterator[str]:

@@ -188,7 +188,7 @@ class RoundMessage(PlaceMessage):
     ``R``, ``z``: the side's cost-to-go at the boundary, ``1/2 |R y - z|^2``, R the upper triangle of a (d, d) matrix
     row by row; empty where no step is to come. ``no_load``: R of the no-load model in round 0, of (p, q) / vm_b^2,
     dvm / vm_b and dva, vm_b being the sender's no-load voltage; empty where something is missing. ``power``: the powers
-    among y, from a child.
+    among y; empty where all flow into the receiver, which computes them.
     """
 
     R: Numbers

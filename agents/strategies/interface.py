@@ -89,7 +89,7 @@ class AnyStrategy:
             consensus does not wait for that.
         estimates_alone: each area estimates from ``local_meters`` and the messages of its neighbours, and must be
             observable with these; else the areas must be observable together.
-        takes_rings: two areas may meet at several buses (``Boundary``).
+        takes_rings: more than one flow may pass a boundary (``Boundary``).
         why_no_phases: the reason why buses may not have phases; empty where they may.
     """
 
@@ -101,17 +101,17 @@ class AnyStrategy:
 
     @classmethod
     def find_area_problems(cls, strategy: str, areas: Sequence[Area]) -> list[str]:
-        """Pairs of areas that meet at several buses, and phases, where this class, named ``strategy``, takes none."""
-        met = {frozenset((a.name, n.area)): a.boundaries[n.area].buses for a in areas for n in a.neighbours}
+        """Pairs of areas between which rings pass, and phases, where this class, named ``strategy``, takes none."""
+        met = {frozenset((a.name, n.area)): a.boundaries[n.area] for a in areas for n in a.neighbours}
         problems = []
         if cls.why_no_phases and not all(area.network.table.nodes.is_balanced for area in areas):
             problem = f"buses have phases, which strategy {strategy!r} cannot take: {cls.why_no_phases}"
             problems.append(f"{problem}; use 'information' or 'admm'")
         return problems + [
-            f"areas {' and '.join(sorted(pair))} meet at buses {', '.join(map(str, buses))}: a ring, which "
-            f"strategy {strategy!r} cannot take; use 'information', or cut where they meet at one bus"
-            for pair, buses in met.items()
-            if len(buses) > 1 and not cls.takes_rings
+            f"areas {' and '.join(sorted(pair))} share buses {', '.join(map(str, boundary.buses))}: a ring, which "
+            f"strategy {strategy!r} cannot take; use 'information', or cut so that areas form a tree"
+            for pair, boundary in met.items()
+            if not (boundary.has_one_flow or cls.takes_rings)
         ]
 
     @classmethod

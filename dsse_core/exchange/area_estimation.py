@@ -78,7 +78,7 @@ class AreaEstimation:
         self._boundary_values: dict[str, tuple[np.ndarray, tuple[float, ...]]] = {}  # neighbour -> x, and y there
         self.before_removal: tuple[np.ndarray, Received] | None = None  # x with all meters, and messages of its step
         self._aged: dict[str, BoundaryInformation] = {}
-        self._last_y: dict[str, np.ndarray] = {}  # where areas meet at several buses: last y with the neighbour in use
+        self._last_y: dict[str, np.ndarray] = {}  # of boundaries with several flows: last y with the neighbour in use
         self.stand_ins: dict[str, BoundaryInformation] = {}
         self._omega: np.ndarray | None = None  # variances of the residuals, from ``find_sigmas``
         self._model: AreaModel | None = None
@@ -113,8 +113,8 @@ class AreaEstimation:
         """Starts at the state so far, with ``readings``, virtual ones included; ``silent``: neighbours not in use.
 
         ``stale``: the readings are not of this scan. ``loads``: neighbour -> its load message. The load message stands
-        in for the neighbour's information as long as that has never been received. For boundaries at several buses see
-        ``stand_in_as_it_was``.
+        in for the neighbour's information as long as that has never been received. For boundaries with several flows
+        see ``stand_in_as_it_was``.
         """
         self._readings, self._silent, self._is_stale = tuple(readings), frozenset(silent), stale
         if (meters := tuple(m.meter for m in self._readings)) != self._meters_read:
@@ -128,7 +128,7 @@ class AreaEstimation:
         """Silent neighbour -> information that stands in for its own."""
         found, boundaries = {}, self.area.boundaries
         for name in self._silent:
-            if len(boundaries[name].buses) > 1:
+            if not boundaries[name].has_one_flow:
                 y = self._last_y.get(name)
                 if y is None and name not in loads:
                     continue  # nothing is known of the other side
@@ -137,7 +137,7 @@ class AreaEstimation:
                 beyond = sum(abs(load.s) for of_side in loads.values() for load in of_side)
                 found[name] = stand_in_as_it_was(boundaries[name], y, own + beyond)
             elif name in loads:
-                found[name] = stand_in_for(self._by_name[name], boundaries[name], loads[name])
+                found[name] = stand_in_for(self.area.name, boundaries[name], loads[name])
         return found
 
     def _start_anew(self, removed: Sequence[str]) -> None:
@@ -203,16 +203,18 @@ class AreaEstimation:
     # Messages to neighbours
 
     def set_power(self, neighbour: str, power: Sequence[float]) -> None:
-        """Takes the powers into a child's branches at x_k, as the child states them."""
-        n, n_powers = self._by_name[neighbour], self.area.boundaries[neighbour].n_powers
-        if not n.is_parent and len(power) == n_powers:
+        """Takes the powers of a boundary at x_k, as the neighbour states them, but those into the own branches."""
+        places, columns = self.model.other_powers[neighbour]
+        if len(power) == self.area.boundaries[neighbour].n_powers and columns:
             self.x = self.x.copy()
-            self.x[self.model.boundary_columns(n)[:n_powers]] = power
+            self.x[columns] = np.array(power)[places]
 
     def power_for(self, neighbour: str) -> tuple[float, ...]:
-        """The powers at the boundary at x_k for a parent; empty for a child, as the child computes them itself."""
-        n, n_powers = self._by_name[neighbour], self.area.boundaries[neighbour].n_powers
-        return tuple(self.model.boundary_values(self.x, n)[:n_powers].tolist()) if n.is_parent else ()
+        """The powers at the boundary at x_k; empty where the neighbour computes all of them."""
+        if not self.area.boundaries[neighbour].needs_powers(neighbour):
+            return ()
+        n_powers = self.area.boundaries[neighbour].n_powers
+        return tuple(self.model.boundary_values(self.x, self._by_name[neighbour])[:n_powers].tolist())
 
     def boundary_values(self, neighbour: str) -> tuple[float, ...]:
         """y of the boundary to ``neighbour`` at x_k; found once for each x, as every heartbeat repeats it."""
@@ -284,7 +286,7 @@ class AreaEstimation:
         return Totals(
             **numbers,
             areas=1,
-            referenced=self.area.reference is not None or bool(model.angles.size),
+            referenced=self.area.is_at_reference or bool(model.angles.size),
             silent=tuple(sorted(self._silent)),
             stale=(name,) if self._is_stale else (),
             unobservable=_name_nodes(self.area.network, [node for node in self.unobservable if self._is_own[node]]),
@@ -331,7 +333,7 @@ class AreaEstimation:
     def _keep_last(self, received: Received) -> None:
         """Keeps, at the end of a scan, the stand-ins for neighbours that have sent ``received`` and may fall silent."""
         for name, message in received.items():
-            if len(self.area.boundaries[name].buses) == 1:
+            if self.area.boundaries[name].has_one_flow:
                 self._aged[name] = BoundaryInformation(AGED * message.R, AGED * message.z)
             else:
                 self._last_y[name] = self.model.boundary_values(self.x, self._by_name[name])
@@ -428,11 +430,12 @@ class AreaEstimation:
 
     @property
     def into_children(self) -> tuple[float, ...]:
-        """Powers into the branches of the children, p.u., in the order of ``Area.powers_into_children``.
+        """Powers into the branches of other areas, p.u., in the order of ``Area.powers_into_children``.
 
-        Empty where a child is not in use.
+        Empty where a neighbour on the way to such an area is not in use.
         """
-        is_known = not any(power.area in self._silent for power in self.area.powers_into_children)
+        silent = (self.area.boundaries[name] for name in self._silent)
+        is_known = not any(power.area != self.area.name for there in silent for power in there.powers)
         return tuple(self.x[2 * self._n :].tolist()) if is_known else ()
 
     @property

@@ -19,12 +19,12 @@ import numpy as np
 
 from dsse_core.grid.boundary import Boundary, Kind
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Source
-from dsse_core.grid.partition import Area, Neighbour, Partition
+from dsse_core.grid.partition import Area, Partition
 from dsse_core.linear.boundary_information import BoundaryInformation
 
 UNSURE_OF_LOAD = 0.1  # share of a net load that is added to its standard deviation, as it neglects losses
 LEAST_LOAD = 0.01  # p.u., added to the standard deviation of every net load
-AS_IT_WAS = 0.05  # p.u. and rad: standard deviation of a voltage from its last value where areas meet at several buses
+AS_IT_WAS = 0.05  # p.u. and rad: standard deviation of a voltage from its last value at a boundary of several flows
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,10 +107,10 @@ def boundary_loads(area: Area, received: Mapping[str, Loads], error: complex = 0
     return loads
 
 
-def stand_in_for(neighbour: Neighbour, boundary: Boundary, loads: Loads) -> BoundaryInformation:
-    """Information about the variables y of the ``boundary``, p.u. and rad, from the net loads on its far side."""
+def stand_in_for(area: str, boundary: Boundary, loads: Loads) -> BoundaryInformation:
+    """Information for ``area`` about the variables y of the ``boundary``, p.u. and rad, from net loads beyond."""
     y, weights = np.zeros(boundary.d), np.zeros(boundary.d)
-    s = [-load.s if neighbour.is_parent else load.s for load in loads]
+    s = [-load.s if boundary.powers[0].area == area else load.s for load in loads]
     weight = [1 / (load.variance**0.5 + UNSURE_OF_LOAD * abs(load.s) + LEAST_LOAD) for load in loads]
     for kind, power in ((Kind.P, np.real(s)), (Kind.Q, np.imag(s))):
         y[boundary.places[kind]], weights[boundary.places[kind]] = power, weight
@@ -119,7 +119,7 @@ def stand_in_for(neighbour: Neighbour, boundary: Boundary, loads: Loads) -> Boun
 
 
 def stand_in_as_it_was(boundary: Boundary, y: np.ndarray, all_load: float) -> BoundaryInformation:
-    """Information about a ``boundary`` at several buses with a silent neighbour: its variables stay near y, shape (d,).
+    """Information about a ``boundary`` of several flows with a silent neighbour: its variables stay near y, shape (d,).
 
     A net load has no side in a ring. The neighbour's last information is no better, as the neighbour may have operated
     switches since. ``all_load``: sum of the sizes of net loads on both sides, p.u. The standard deviation of each power

@@ -82,9 +82,23 @@ class Boundary:
         return sum(variable.kind in (Kind.P, Kind.Q) for variable in self.variables)
 
     @property
+    def powers(self) -> tuple[Variable, ...]:
+        """The powers of y."""
+        return self.variables[: self.n_powers]
+
+    def needs_powers(self, area: str) -> bool:
+        """True where ``area`` does not compute all powers of y itself, as some flow into other areas."""
+        return any(power.area != area for power in self.powers)
+
+    @property
     def is_single(self) -> bool:
         """True where the areas meet at a single bus of a balanced network."""
         return self.d == 2 * self.n_powers == D_SINGLE and not self.variables[0].phase
+
+    @cached_property
+    def has_one_flow(self) -> bool:
+        """True where all that passes is the flow from one bus into one area, so that each side is a net load."""
+        return len({(v.bus, v.area) for v in self.variables[: self.n_powers]}) == 1
 
     @property
     def n_loads(self) -> int:

@@ -1,23 +1,33 @@
-"""Division of a network into areas: the branches of each, the tree of the areas, and what each area then knows."""
+"""Division of a network into areas: the branches of each, the tree of messages, and what each area then knows."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import find_no_load
-from dsse_core.grid.boundary import boundary_at, boundary_of
+from dsse_core.grid.boundary import boundary_at
 from dsse_core.grid.columns import Records, split_by, take_items
 from dsse_core.grid.loads import Load
+from dsse_core.grid.message_tree import (
+    MOST_CARRIED,
+    Carried,
+    MessageTree,
+    SharedBus,
+    choose_tree,
+    find_carried,
+    walk_areas,
+)
 from dsse_core.grid.network import Bus, Control, Generator, Network
-from dsse_core.grid.nodes import read_phases, write_phases
+from dsse_core.grid.nodes import BALANCED, read_phases, write_phases
 from dsse_core.grid.partition import Area, Neighbour, Partition
+from dsse_core.printable import listed
 
 Supplied = TypeVar("Supplied", Generator, Load)
 
@@ -35,8 +45,8 @@ def build_partition(
     boundary bus towards the substation; ``local_slack`` (area -> bus, vm in p.u.) overrides it.
 
     Raises:
-        InvalidInputError: listing every bus or branch in no area, area in pieces, unknown name, and the
-            cycle if a ring passes through more than two areas.
+        InvalidInputError: listing every bus or branch in no area, area in pieces, unknown name, and neighbours that
+            would exchange too many variables.
     """
     local_slack = local_slack or {}
     members = _find_members(network, area_buses)
@@ -48,17 +58,16 @@ def build_partition(
         raise InvalidInputError(f"areas of network {network.name!r}", problems)
 
     assert network.slack is not None  # checked by _find_bus_problems
-    neighbours = _grow_tree(network, members, branches)
-    at_slack = {members.names[k] for k in members.find_areas(network.row[network.slack.bus])}
-    generators = _split_by_owner(network, members, neighbours, network.generators)
-    loads = _split_by_owner(network, members, neighbours, network.loads)
+    edges = _grow_tree(network, members, branches)
+    generators = _split_by_owner(network, members, edges, network.generators)
+    loads = _split_by_owner(network, members, edges, network.loads)
     areas = []
-    for name, rows, held in zip(members.names, members.rows, branches, strict=True):
-        parent = next((n for n in neighbours[name] if n.is_parent), None)
-        part = _cut_out(network, name, rows, held, generators[name], loads[name], parent)
+    for name, rows, held, at in zip(members.names, members.rows, branches, edges, strict=True):
+        parent = next((n for n in at.neighbours if n.is_parent), None)
+        part = _cut_out(network, name, rows, held, generators[name], loads[name], at.foreign)
         bus, vm = local_slack.get(name) or _default_slack(part, parent)
-        reference = (network.slack.bus, network.slack.va) if name in at_slack else None
-        areas.append(Area(name, part, tuple(neighbours[name]), bus, vm, reference))
+        reference = (network.slack.bus, network.slack.va) if network.slack.bus in part.row else None
+        areas.append(Area(name, part, tuple(at.neighbours), bus, vm, reference))
     return _with_schedule(Partition(network, tuple(areas)))
 
 
@@ -102,7 +111,7 @@ def _with_schedule(partition: Partition) -> Partition:
     vm, va = find_no_load(network, network.slack.bus)
     va, table, first = va + network.slack.va, network.table, network.table.nodes.first
     unloaded = {bus: (float(vm[node]), float(va[node])) for bus, node in zip(network.row, first.tolist(), strict=True)}
-    has_loops = len(table.active) >= len(table.bus_id)
+    has_loops = len(table.active) >= len(table.bus_id) or not all(area.is_on_tree for area in partition.areas)
     may_differ = has_loops and bool((table.tap != 1.0).any() or (table.shift != 0.0).any())
     areas = []
     for area in partition.areas:
@@ -232,113 +241,109 @@ def _find_pieces(network: Network, members: _Members, area: np.ndarray, place: n
             yield f"area {name} is not connected by its own branches: it falls into buses {text}"
 
 
-def _grow_tree(network: Network, members: _Members, branches: Sequence[np.ndarray]) -> dict[str, list[Neighbour]]:
-    """The neighbours of each area, by a walk from the substation over areas and boundary buses.
+@dataclass
+class _Edges:
+    """The edges of an area in the tree of messages: its ``neighbours``, and the buses of others that it sees or relays.
 
-    An area and its parent may meet at several boundary buses. Any other second way to an area is a ring through more
-    areas.
+    ``foreign``: bus -> the set of its phases that the area sees or relays.
+    """
+
+    neighbours: list[Neighbour] = field(default_factory=list)
+    foreign: dict[int, int] = field(default_factory=dict)
+
+
+def _grow_tree(network: Network, members: _Members, branches: Sequence[np.ndarray]) -> list[_Edges]:
+    """The edges of each area.
+
+    Of the areas that list a bus, that of the shortest way to the substation is the owner.
 
     Raises:
-        InvalidInputError: the areas form such a ring.
+        InvalidInputError: an edge carries more than MOST_CARRIED variables.
     """
     assert network.slack is not None  # checked by _find_bus_problems
     ids, names = network.table.bus_id, members.names
-    meeting = {int(ids[row]): [names[area] for area in areas] for row, areas in members.areas_at.items()}
-    shared: dict[str, list[int]] = {name: [] for name in names}
-    for bus in sorted(meeting):
-        for name in meeting[bus]:
-            shared[name].append(bus)
-    met: dict[str, list[int]] = {name: [] for name in names}  # buses at which an area and its parent meet
-    order: dict[str, list[str]] = {name: [] for name in names}  # the neighbours of an area
-    root = names[members.find_areas(network.row[network.slack.bus])[0]]
-    entered_by: dict[str, tuple[int, str] | None] = {root: None}  # area -> (boundary bus, its owner)
-    queue = deque([root])
-    while queue:
-        name = queue.popleft()
-        for bus in shared[name]:
-            if bus in met[name]:
-                continue  # the parent has been at all areas there
-            for other in meeting[bus]:
-                if other == name:
-                    continue
-                if other not in entered_by:
-                    entered_by[other] = (bus, name)
-                    order[name].append(other)
-                    order[other].append(name)
-                    queue.append(other)
-                elif (entry := entered_by[other]) is None or entry[1] != name:
-                    raise _loop_error(network, entered_by, name, other, bus)
-                met[other].append(bus)
-    parents = {name: entry[1] for name, entry in entered_by.items() if entry}
-    names_of: dict[str, tuple[str, ...]] = {}  # child -> the variables that it shares with its parent
-    for child, held in zip(names, branches, strict=True):
-        phases = [_phases_of(network, held, bus) for bus in met[child]]
-        if len(phases) > 1 or any(phases):
-            places = [f"{bus}.{text}" if text else bus for bus, text in zip(met[child], phases, strict=True)]
-            names_of[child] = boundary_at(places, child).names
-
-    def meet(name: str, other: str) -> Neighbour:
-        """``other`` as the neighbour of area ``name``."""
-        is_parent = parents.get(name) == other
-        child = name if is_parent else other
-        return Neighbour(other, met[child][0], is_parent, names_of.get(child, ()))
-
-    return {name: [meet(name, other) for other in others] for name, others in order.items()}
+    meeting = dict(sorted((int(ids[row]), areas) for row, areas in members.areas_at.items()))
+    walk = walk_areas(len(names), members.find_areas(network.row[network.slack.bus])[0], list(meeting.values()))
+    rank = {area: k for k, area in enumerate(walk.order)}
+    shared = []
+    for bus, areas in meeting.items():
+        owner, *others = sorted(areas, key=rank.__getitem__)
+        shared.append(SharedBus(bus, owner, {k: _phases_of(network, branches[k], bus) for k in others}))
+    tree = choose_tree(walk, shared)
+    carried = find_carried(tree, shared)
+    edges = [(tree.above[area], area) for area in tree.order[1:]]
+    if problems := [
+        _explain_carried(network, members, branches, edge, carried[edge[1]])
+        for edge in edges
+        if carried[edge[1]].d > MOST_CARRIED
+    ]:
+        raise InvalidInputError(f"areas of network {network.name!r}", problems)
+    found = [_Edges() for _ in names]
+    owners, meets = {at.bus: at.owner for at in shared}, _find_meeting_buses(tree, shared)
+    for above, area in edges:
+        variables = carried[area].list_names(names)
+        if variables == boundary_at((meets[area],), names[area]).names:
+            variables = ()
+        for one, other in ((above, area), (area, above)):
+            found[one].neighbours.append(Neighbour(names[other], meets[area], other == above, variables))
+            for bus, phases in carried[area].list_phases().items():
+                if owners[bus] != one:
+                    found[one].foreign[bus] = found[one].foreign.get(bus, 0) | phases
+    return found
 
 
-def _phases_of(network: Network, branches: np.ndarray, bus: int) -> str:
-    """The phases that ``branches``, by rows, have at ``bus``."""
-    if network.table.nodes.is_balanced:
-        return ""
-    ends = [(network.branches[row], network.table.primitives[row]) for row in branches.tolist()]
-    texts = [primitive.from_phases for branch, primitive in ends if branch.from_bus == bus]
-    texts += [primitive.to_phases for branch, primitive in ends if branch.to_bus == bus]
-    return write_phases(int(np.bitwise_or.reduce(read_phases(texts))))
+def _find_meeting_buses(tree: MessageTree, shared: Sequence[SharedBus]) -> dict[int, int]:
+    """Area -> the first bus at which it meets the area above it."""
+    meets: dict[int, int] = {}
+    for at in shared:
+        there = set(at.areas)
+        for area in at.areas:
+            if tree.above[area] in there:
+                meets.setdefault(area, at.bus)
+    return meets
 
 
-def _buses_at(parent: Neighbour | None) -> tuple[int, ...]:
-    """The boundary buses that ``parent`` owns."""
-    return () if parent is None else boundary_of(parent.variables).buses or (parent.bus,)
-
-
-def _loop_error(
-    network: Network, entered_by: Mapping[str, tuple[int, str] | None], one: str, other: str, bus: int
-) -> InvalidInputError:
-    """The error that names the cycle that closes where areas ``one`` and ``other`` meet again at ``bus``."""
-
-    def path(name: str) -> list[str]:
-        names = [name]
-        while (entry := entered_by[names[-1]]) is not None:
-            names.append(entry[1])
-        return names
-
-    ours, theirs = path(one), path(other)
-    while len(ours) > 1 and len(theirs) > 1 and ours[-2] == theirs[-2]:
-        ours.pop()
-        theirs.pop()
-    cycle = [*reversed(ours), *theirs[:-1]]
-    if len(ours) > 1 and len(theirs) > 1 and entered_by[ours[-2]] == entered_by[theirs[-2]]:
-        cycle.remove(ours[-1])  # both branch off at one bus: the loop does not run through its owner
-    text = " - ".join([*cycle, cycle[0]])
-    return InvalidInputError(
-        f"areas of network {network.name!r}",
-        [
-            f"areas form a loop: {text}, closed at bus {bus}; a ring may pass through an area and its parent only: "
-            "move the cut so that the areas form a tree"
-        ],
+def _explain_carried(
+    network: Network, members: _Members, branches: Sequence[np.ndarray], edge: tuple[int, int], carried: Carried
+) -> str:
+    """The problem of an edge between two areas with too many variables, and the branches that cause it."""
+    causes = []
+    for bus, powers in carried.powers.items():
+        for area in powers:
+            held = [network.branch_ids[k] for k in branches[area] if bus in _ends_of(network, k)]
+            causes.append(f"{listed(held)} of {members.names[area]} at bus {bus}")
+    one, other = (members.names[area] for area in edge)
+    return (
+        f"{one} and {other} would exchange {carried.d} variables, of at most {MOST_CARRIED}, as rings pass between "
+        f"them over the branches {'; '.join(causes)}; open some of these branches, or move cuts so that a ring "
+        "lies within one area"
     )
 
 
+def _ends_of(network: Network, branch: int) -> tuple[int, int]:
+    """The buses of a branch, by its row."""
+    return int(network.table.from_bus[branch]), int(network.table.to_bus[branch])
+
+
+def _phases_of(network: Network, branches: np.ndarray, bus: int) -> int:
+    """The set of phases that ``branches``, by rows, have at ``bus``."""
+    if network.table.nodes.is_balanced:
+        return BALANCED
+    ends = [(network.branches[row], network.table.primitives[row]) for row in branches.tolist()]
+    texts = [primitive.from_phases for branch, primitive in ends if branch.from_bus == bus]
+    texts += [primitive.to_phases for branch, primitive in ends if branch.to_bus == bus]
+    return int(np.bitwise_or.reduce(read_phases(texts)))
+
+
 def _split_by_owner(
-    network: Network, members: _Members, neighbours: Mapping[str, Sequence[Neighbour]], items: Sequence[Supplied]
+    network: Network, members: _Members, edges: Sequence[_Edges], items: Sequence[Supplied]
 ) -> dict[str, list[Supplied]]:
     """Area -> those of ``items``, generators or loads, at the buses that it owns."""
     found: dict[str, list[Supplied]] = {name: [] for name in members.names}
-    not_owned = {name: {bus for n in of if n.is_parent for bus in _buses_at(n)} for name, of in neighbours.items()}
     for item in items:
         for area in members.find_areas(network.row[item.bus]):
-            if item.bus not in not_owned[name := members.names[area]]:
-                found[name].append(item)
+            if item.bus not in edges[area].foreign:
+                found[members.names[area]].append(item)
     return found
 
 
@@ -349,17 +354,17 @@ def _cut_out(
     branches: np.ndarray,
     generators: Sequence[Generator],
     loads: Sequence[Load],
-    parent: Neighbour | None,
+    foreign: Mapping[int, int],
 ) -> Network:
-    """The part of the network that area ``name`` knows, its buses and branches by rows; a bus not owned is bare."""
+    """The part of the network that area ``name`` knows, its buses and branches by rows; ``foreign`` buses are bare."""
+    ids = network.table.bus_id
+    rows = np.union1d(rows, np.array([network.row[bus] for bus in foreign], dtype=np.int64))
     buses = take_items(network.buses, rows)
-    for bus in _buses_at(parent):
-        place = int(np.searchsorted(rows, network.row[bus]))
-        buses = _bare(buses, place, _phases_of(network, branches, bus))
+    for bus, phases in foreign.items():
+        buses = _bare(buses, int(np.searchsorted(rows, network.row[bus])), write_phases(phases))
     held = take_items(network.branches, branches)
-    ids = network.table.bus_id[rows]
-    owned = np.setdiff1d(ids, _buses_at(parent))
-    gauge = None if network.table.nodes.is_balanced else network.gauge.within(ids, owned)
+    owned = np.setdiff1d(ids[rows], list(foreign))
+    gauge = None if network.table.nodes.is_balanced else network.gauge.within(ids[rows], owned)
     return Network(name, network.base_mva, buses, held, tuple(generators), tuple(loads), gauge)
 
 

@@ -1,14 +1,16 @@
-"""The division of a network into areas that meet at boundary buses and form a tree.
+"""The division of a network into areas that meet at boundary buses and exchange messages along a tree.
 
-Branches are divided among areas; a boundary bus is seen by every area whose branches meet there. Seen
-from the substation, the first area at a boundary bus owns it (its load, its generators, its meters); the
-others are children of the owner there. Neighbours are owner and child: the edges of the tree. They may meet at several
-buses, so that a ring passes through both; the parent owns all of these.
+Branches are divided among areas; a boundary bus is seen by every area whose branches meet there. The area nearest to
+the substation owns it (its load, its generators, its meters). Neighbours are areas joined by an edge of the tree of
+messages (``message_tree.py``). Where areas form a tree, neighbours are the owner of a bus and another area there, and
+the owner lies towards the substation. In rings an area may see buses of several owners, and relay variables of buses
+where it has no branch.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,8 +30,8 @@ MOST_SHOWN = 4  # names of areas in one line
 class Neighbour:
     """Another area met at boundary bus ``bus``, the first of several; ``is_parent`` if it lies towards the substation.
 
-    ``variables``: names of the variables that both areas share (``boundary.py``), where they meet at several buses or
-    at phases.
+    ``variables``: names of the variables that the edge carries (``boundary.py``), where these are not those of a
+    single balanced bus that the parent owns.
     """
 
     area: str
@@ -37,13 +39,27 @@ class Neighbour:
     is_parent: bool
     variables: tuple[str, ...] = ()
 
+    def boundary_of(self, area: str) -> Boundary:
+        """The variables that the edge between this neighbour and ``area`` carries."""
+        return boundary_of(self.variables or boundary_at((self.bus,), area if self.is_parent else self.area).names)
+
+
+def find_foreign(area: str, boundaries: Iterable[Boundary]) -> tuple[int, ...]:
+    """The buses of an area's ``boundaries`` that other areas own.
+
+    From such a bus a power flows into the area, or the area relays one, which two of its boundaries then have.
+    """
+    powers = Counter(power for boundary in boundaries for power in boundary.powers)
+    return tuple(dict.fromkeys(v.bus for v, count in powers.items() if v.area == area or count > 1))
+
 
 @dataclass(frozen=True, repr=False)
 class Area:
     """The knowledge that one area has of the grid: its own part of the network and its neighbours' names.
 
-    ``network`` holds the area's buses and branches; load, shunt and generators of a boundary bus stand only in the
-    network of its owner. A child has there no other phases than its branches. ``slack_bus`` is where the local power
+    ``network`` holds the area's buses and branches, and the buses that it relays; load, shunt and generators of a
+    boundary bus stand only in the network of its owner. Other areas have there only the phases of their branches, and
+    those that they relay. ``slack_bus`` is where the local power
     flow holds the voltage; ``slack_vm`` its set-point in p.u., None when it is the voltage that the parent publishes
     for that bus. ``reference``: bus and angle (rad) of the substation, in every area that sees it: its nodes have given
     angles. ``towards_hub``: the neighbour on the way to the hub, None in the hub. ``n_areas``: number of areas of the
@@ -73,23 +89,34 @@ class Area:
         return self.network.slack is not None
 
     @property
+    def is_at_reference(self) -> bool:
+        """True where the area owns the bus of the angle reference, or has a branch there: it does not only relay it."""
+        if self.reference is None:
+            return False
+        table, bus = self.network.table, self.reference[0]
+        row = self.network.row[bus]
+        return bus not in self.not_owned or bool((table.f == row).any() or (table.t == row).any())
+
+    @property
     def parent(self) -> Neighbour | None:
         return next((n for n in self.neighbours if n.is_parent), None)
 
-    @property
+    @cached_property
     def entry_bus(self) -> int:
-        """The bus where a walk from the substation enters the area: the first boundary bus with the parent, or the
-        substation itself; without both the local slack bus.
+        """The bus where a walk from the substation enters the area: the first boundary bus, the parent's before others,
+        with a branch in service; or the substation itself; without both the local slack bus.
         """
-        return self.parent.bus if self.parent else self.reference[0] if self.reference else self.slack_bus
+        if self.parent is None:
+            return self.reference[0] if self.reference else self.slack_bus
+        table = self.network.table
+        joined = {*table.bus_id[table.f].tolist(), *table.bus_id[table.t].tolist()}
+        met = self.parent.bus, *self.boundaries[self.parent.area].buses, *self.boundary_buses
+        return next((bus for bus in met if bus in joined), self.parent.bus)
 
     @cached_property
     def boundaries(self) -> dict[str, Boundary]:
-        """Neighbour -> the variables that it and this area share."""
-        return {
-            n.area: boundary_of(n.variables or boundary_at((n.bus,), self.name if n.is_parent else n.area).names)
-            for n in self.neighbours
-        }
+        """Neighbour -> the variables that the edge to it carries."""
+        return {n.area: n.boundary_of(self.name) for n in self.neighbours}
 
     def find_no_load(self) -> tuple[np.ndarray, np.ndarray]:
         """The area's voltages (vm, va) in the unloaded grid, (n_nodes,), p.u. and rad."""
@@ -102,8 +129,24 @@ class Area:
 
     @cached_property
     def not_owned(self) -> tuple[int, ...]:
-        """The area's buses that the parent owns."""
-        return self.boundaries[self.parent.area].buses if self.parent else ()
+        """The area's buses that other areas own."""
+        return find_foreign(self.name, self.boundaries.values())
+
+    @cached_property
+    def relayed(self) -> frozenset[int]:
+        """The buses where the area has no branch, and whose variables it relays."""
+        powers = {power for boundary in self.boundaries.values() for power in boundary.powers}
+        return frozenset(self.not_owned) - {power.bus for power in powers if power.area == self.name}
+
+    @cached_property
+    def is_on_tree(self) -> bool:
+        """True where the area meets each neighbour at a single balanced bus, which the one towards the substation owns,
+        as all areas do that form a tree.
+        """
+        met = ((self.boundaries[n.area], n) for n in self.neighbours)
+        return all(
+            boundary.is_single and (boundary.variables[0].area == self.name) == n.is_parent for boundary, n in met
+        )
 
     @cached_property
     def n_unknown(self) -> int:
@@ -114,9 +157,9 @@ class Area:
 
     @cached_property
     def powers_into_children(self) -> tuple[Variable, ...]:
-        """The powers from the area's buses into the branches of its children, each once."""
-        there = (self.boundaries[n.area] for n in self.neighbours if not n.is_parent)
-        return tuple(dict.fromkeys(power for boundary in there for power in boundary.variables[: boundary.n_powers]))
+        """The powers from boundary buses into the branches of other areas, each once."""
+        powers = (v for boundary in self.boundaries.values() for v in boundary.powers)
+        return tuple(dict.fromkeys(power for power in powers if power.area != self.name))
 
     @property
     def boundary_buses(self) -> tuple[int, ...]:
@@ -178,7 +221,7 @@ class Area:
 
 @dataclass(frozen=True, repr=False)
 class Partition:
-    """The areas of a network, a tree rooted at the area of the substation."""
+    """The areas of a network, and the tree of their messages, rooted at the area of the substation."""
 
     network: Network
     areas: tuple[Area, ...]
@@ -247,7 +290,7 @@ class Partition:
 
     @cached_property
     def owner_of_bus(self) -> dict[int, str]:
-        """Bus id -> the area that owns it: its only area, or its area towards the substation."""
+        """Bus id -> the area that owns it: its only area, or that nearest to the substation."""
         names = [area.name for area in self.areas]
         return {
             bus: names[k]

@@ -35,7 +35,7 @@ class AreaMeasurements:
     area: Area
     model: MeasurementModel
     into_children: sp.csr_array  # (n_meas, n_power): the share of a power into a child in an injection to ground
-    into_area: MeasurementModel | None  # P and Q from the parent's buses into the area's own branches
+    into_area: MeasurementModel | None  # P and Q from buses of others into the area's own branches, by boundary
     z: np.ndarray
     sigma: np.ndarray
     free: np.ndarray
@@ -159,8 +159,27 @@ class AreaMeasurements:
         return [self._column[variable] for variable in boundary.variables[boundary.n_powers :]]
 
     def boundary_columns(self, neighbour: Neighbour) -> list[int]:
-        """Positions in x of y at the boundary to a child; to the parent of its voltages only, as x lacks its powers."""
+        """Positions in x of the variables y of a boundary, without the powers of ``own_powers``, which x lacks."""
         return [self._column[v] for v in self.boundary_of(neighbour).variables if v in self._column]
+
+    @cached_property
+    def own_powers(self) -> dict[str, tuple[np.ndarray, slice]]:
+        """Neighbour -> positions in y of the powers into the area's own branches, and their rows of ``into_area``."""
+        found, end = {}, 0
+        for name, boundary in self.area.boundaries.items():
+            own = np.array([k for k, v in enumerate(boundary.variables) if v.area == self.area.name], dtype=np.int64)
+            found[name] = own, slice(end, end + len(own))
+            end += len(own)
+        return found
+
+    @cached_property
+    def other_powers(self) -> dict[str, tuple[list[int], list[int]]]:
+        """Neighbour -> the positions in y, and in x, of the powers into other areas."""
+        found = {}
+        for name, boundary in self.area.boundaries.items():
+            others = {k: self._column[power] for k, power in enumerate(boundary.powers) if power in self._column}
+            found[name] = list(others), list(others.values())
+        return found
 
     @cached_property
     def _column(self) -> dict[Variable, int]:

@@ -97,13 +97,13 @@ def build_area_model(
     meters = [m.meter for m in measurements]
     size = 2 * network.n_nodes + len(area.powers_into_children)
     fixed = NO_ROWS if reference is None else network.nodes_at(reference)
-    to_parent = area.boundaries[area.parent.area].variables if area.parent else ()
-    at_parent = [Meter(INJECTION[v.kind], v.bus, phases=v.phase) for v in to_parent if v.kind in INJECTION]
+    shared = (v for boundary in area.boundaries.values() for v in boundary.variables)
+    into_area = [Meter(INJECTION[v.kind], v.bus, phases=v.phase) for v in shared if v.area == area.name]
     return AreaModel(
         area=area,
         model=_count_currents(area, build_measurement_model(network, admittance, meters)),
         into_children=_count_powers(area, meters),
-        into_area=build_measurement_model(network, admittance, at_parent) if at_parent else None,
+        into_area=build_measurement_model(network, admittance, into_area) if into_area else None,
         z=_values_of(measurements),
         sigma=_sigmas_of(measurements),
         free=np.delete(np.arange(size), fixed),

@@ -29,7 +29,7 @@ def choose_backend(area: Area, backend: Backend = "auto") -> Literal["radial", "
         is_small = backend != "pieces" and area.network.n_nodes < PIECES_FROM
         return "dense" if backend == "dense" or is_small else "pieces"
     if backend == "radial" or (backend == "auto" and n_bus >= RADIAL_FROM):
-        return "sparse" if find_why_not_radial(area.network) else "radial"
+        return "sparse" if not area.is_on_tree or find_why_not_radial(area.network) else "radial"
     return "dense" if backend == "dense" or (backend == "auto" and n_bus < DENSE_BELOW) else "sparse"
 
 

@@ -13,19 +13,25 @@ from dsse_core.linear.interface import Matrix, Received, Rows
 
 
 class DenseRows(Rows):
-    """The rows of the meters, then those of each boundary's y, the parent's first.
-
-    The parent's rows begin with P and Q into the area's own branches. All other rows of boundaries read one variable of
-    x each.
+    """The rows of the meters, then those of P and Q into the area's own branches, then those of the other variables of
+    boundaries, which read one variable of x each.
     """
 
     def __init__(self, area: AreaMeasurements) -> None:
         model, into_area, into_children = area.model, area.into_area, area.into_children
-        boundaries = sorted(area.area.neighbours, key=lambda n: not n.is_parent)
-        picked = [column for n in boundaries for column in area.boundary_columns(n)]
         self._neighbours = area.area.neighbours
-        ends = np.cumsum([area.boundary_of(n).d for n in boundaries], dtype=int) + len(model.kinds)
-        self._place = {n.area: slice(end - area.boundary_of(n).d, end) for n, end in zip(boundaries, ends, strict=True)}
+        picked: list[int] = []
+        self._place: dict[str, np.ndarray | slice] = {}
+        first, n_into_area = len(model.kinds), 0 if into_area is None else len(into_area.kinds)
+        for n in sorted(self._neighbours, key=lambda n: not n.is_parent):
+            own, rows = area.own_powers[n.area]
+            columns, places = area.boundary_columns(n), np.arange(area.boundary_of(n).d)
+            others = np.setdiff1d(places, own)
+            places[own] = first + np.arange(rows.start, rows.stop)
+            places[others] = first + n_into_area + len(picked) + np.arange(len(columns))
+            picked += columns
+            is_run = (np.diff(places) == 1).all()
+            self._place[n.area] = slice(int(places[0]), int(places[-1]) + 1) if is_run else places
         self._n_meas, self._n = len(model.kinds), model.y.shape[1]
         self._rows = model if into_area is None else stack_models(model, into_area)
         self._y = self._rows.y.toarray()

@@ -8,11 +8,11 @@ The information for a neighbour, and the step at the boundaries, follow from the
 messages of other neighbours; the voltages within the area follow by substitution. The reduction needs no message, so it
 is done while one is awaited.
 
-The powers of the parent's boundary are functions of the voltages next to it, which are not eliminated either. The last
-two variables are shifts of the whole area (``shift_of_own_rows``). They replace the voltage of one boundary bus, and
-so protect the information about that voltage, and the steps over short branches, from rounding. Rows with weights over
-many decades keep their digits each, as heavy rows come first and columns are pivoted (Higham, Accuracy and Stability of
-Numerical Algorithms, 20.3).
+Powers into the area from buses of others are functions of the voltages next to these, which are not eliminated either.
+The last two variables are shifts of the whole area (``shift_of_own_rows``). They replace the voltage of one boundary
+bus, and so protect the information about that voltage, and the steps over short branches, from rounding. Rows with
+weights over many decades keep their digits each, as heavy rows come first and columns are pivoted (Higham, Accuracy and
+Stability of Numerical Algorithms, 20.3).
 """
 
 from __future__ import annotations
@@ -133,10 +133,11 @@ class ReducedSolver(RowSolver):
         reduced, (columns, places) = self._reduce(x), self._order.towards[neighbour.area]
         (y, dy), boundary = reduced.boundaries[neighbour.area], self.model.boundary_of(neighbour)
         rows = self._stack(reduced, {name: sent for name, sent in received.items() if name != neighbour.area})
-        rows = _with_powers(rows, dy, boundary.n_powers, self.tied_sigma(boundary)) if neighbour.is_parent else rows
+        own, _ = self.model.own_powers[neighbour.area]
+        rows = _with_powers(rows, dy[own], self.tied_sigma(boundary)) if len(own) else rows
         rows, k = rows[:, columns], len(places)
-        if neighbour.is_parent and not boundary.is_single:  # p and q of one node are independent
-            _turn_ties(rows[-boundary.n_powers :], len(columns) - 1 - k)
+        if len(own) and not boundary.is_single:  # p and q of one node are independent
+            _turn_ties(rows[-len(own) :], len(columns) - 1 - k)
         rows = triangulate(eliminate(rows, len(columns) - 1 - k).rows)
         R, z = np.zeros((boundary.d, boundary.d)), np.zeros(boundary.d)
         R[:k, places], z[:k] = rows[:k, :-1], rows[:k, -1]
@@ -203,12 +204,13 @@ class ReducedSolver(RowSolver):
         """y, shape (d,), and ``[dy | -y]`` by the variables of the boundaries."""
         order, n, boundary = self._order, self._order.n_within, self.model.boundary_of(neighbour)
         dy = order.picks[neighbour.area].copy()
-        if neighbour.is_parent:
+        own, _ = self.model.own_powers[neighbour.area]
+        if len(own):
             y, T = self.rows.boundary(x, neighbour)
-            C = T[: boundary.n_powers]
+            C = T[own]
             C = C if isinstance(C, np.ndarray) else C.toarray()
-            dy[: boundary.n_powers, : len(order.read) - n] = C[:, order.read[n:]]
-            dy[: boundary.n_powers, -2] = -C[:, self.model.fixed].sum(axis=1)
+            dy[own, : len(order.read) - n] = C[:, order.read[n:]]
+            dy[own, -2] = -C[:, self.model.fixed].sum(axis=1)
         else:
             y = self.rows.boundary_values(x, neighbour)
         dy[:, -3], dy[:, -1] = y * boundary.degrees, -y
@@ -222,8 +224,8 @@ class _Order:
     ``read``: positions in x of the variables, the first ``n_within`` of them within. ``of_step``: columns of the
     boundaries' variables without those that follow from others, then the column of residuals. ``towards``: neighbour
     -> two arrays. The first has these columns with the variables of the neighbour's y last, where shifts stand for its
-    last voltage; for the parent they are columns of ``_with_powers``. The second has the positions in y of these
-    variables.
+    last voltage; with powers into the area they are columns of ``_with_powers``. The second has the positions in y of
+    these variables.
     """
 
     def __init__(self, model: AreaMeasurements) -> None:
@@ -232,9 +234,9 @@ class _Order:
         shared = {n.area: model.voltage_columns(n)[1::2] for n in area.neighbours}  # nodes of each boundary
         nodes = tuple(dict.fromkeys(node for n in shared.values() for node in n)) or (int(nodes_at(area.entry_bus)[0]),)
         free, kept = set(model.free.tolist()), nodes if len(nodes) > 1 else ()
-        next_to_parent = {end for bus in area.not_owned for end in _find_next_to(area, bus)}
+        next_to_others = {end for bus in area.not_owned for end in _find_next_to(area, bus)}
         at_boundaries = list(range(2 * n_nodes, model.size))
-        beside = [node for bus in sorted(next_to_parent) for node in nodes_at(bus).tolist() if node not in nodes]
+        beside = [node for bus in sorted(next_to_others) for node in nodes_at(bus).tolist() if node not in nodes]
         at_boundaries += [k for node in (*kept, *beside) for k in of_node[node] if k in free]
         apart = {*at_boundaries, *(k for node in nodes for k in of_node[node])}
         within = [k for k in model.free.tolist() if k not in apart]
@@ -256,18 +258,21 @@ class _Order:
         self.picks: dict[str, np.ndarray] = {}
         self.towards: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         for n in area.neighbours:
-            boundary, columns = area.boundaries[n.area], model.boundary_columns(n)
-            first = boundary.d - len(columns)  # of y in x
-            of_y = {first + k: place[column] for k, column in enumerate(columns) if column in place}
+            boundary, (own, _) = area.boundaries[n.area], model.own_powers[n.area]
+            others, columns = np.setdiff1d(np.arange(boundary.d), own).tolist(), model.boundary_columns(n)
+            of_y = {k: place[column] for k, column in zip(others, columns, strict=True) if column in place}
             self.picks[n.area] = pick = np.zeros((boundary.d, self.n_boundary + 1))
             pick[list(of_y), list(of_y.values())] = 1.0
             pick[boundary.places[Kind.VA], turn] = [node in free for node in shared[n.area]]
             last = shared[n.area][-1]
             of_y = {k: at for k, at in of_y.items() if at in without(last)}
             of_y |= {k: at for k, at in ((boundary.d - 2, growth), (boundary.d - 1, turn)) if at in without(last)}
+            first = len(own)  # columns of ``_with_powers``
             left = [first + k for k in without(last) if k not in of_y.values()]
-            found = [*range(first), *(first + at for at in of_y.values())]
-            self.towards[n.area] = np.array([*left, *found, first + residual]), np.array([*range(first), *of_y])
+            found = {k: column for column, k in enumerate(own.tolist())} | {k: first + at for k, at in of_y.items()}
+            places = sorted(found)
+            of_neighbour = [found[k] for k in places]
+            self.towards[n.area] = np.array([*left, *of_neighbour, first + residual]), np.array(places)
 
     def find_shifts(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The changes of x, (size,) each, where all voltages grow by a share, and where they turn by an angle, rad."""
@@ -282,9 +287,12 @@ def _find_next_to(area: Area, bus: int) -> set[int]:
     return {end for pair in ends if bus in pair for end in pair} - {bus}
 
 
-def _with_powers(rows: np.ndarray, dy: np.ndarray, n: int, sigma: float) -> np.ndarray:
-    """``rows`` with changes of the parent's n powers before other variables, without the shift's effect on these."""
-    tie = dy[:n].copy()
+def _with_powers(rows: np.ndarray, dy: np.ndarray, sigma: float) -> np.ndarray:
+    """``rows`` with changes of n powers into the area before other variables, without the shift's effect on these.
+
+    ``dy``: the rows of these powers.
+    """
+    tie, n = dy.copy(), len(dy)
     tie[:, -3] = tie[:, -1] = 0.0
     wide = np.zeros((len(rows) + n, rows.shape[1] + n))
     wide[:-n, n:], wide[-n:, :n], wide[-n:, n:] = rows, -np.eye(n) / sigma, tie / sigma

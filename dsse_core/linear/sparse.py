@@ -133,32 +133,44 @@ class SparseRows(Rows):
         return self._boundaries[neighbour.area]
 
     def _find_boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, sp.csr_array]:
-        columns = self._area.boundary_columns(neighbour)
-        if not neighbour.is_parent:
+        columns, (own, rows) = self._area.boundary_columns(neighbour), self._area.own_powers[neighbour.area]
+        if not len(own):
             return x[columns], self._select(columns)
         into_area = self._area.into_area
-        assert into_area is not None  # there is a parent
+        assert into_area is not None  # it has the own powers
         flows = into_area.predict(x[: 2 * self._n])
         C = sp.csr_array(into_area.jacobian(x[: 2 * self._n]))
         C = sp.csr_array((C.data, C.indices, C.indptr), shape=(len(flows), self._area.size))
-        T = sp.vstack([C, self._select(columns)], format="csr")
-        return np.concatenate([flows, x[columns]]), sp.csr_array(T)
+        T = sp.csr_array(sp.vstack([C[rows], self._select(columns)], format="csr"))
+        y = np.concatenate([flows[rows], x[columns]])
+        if own[-1] == len(own) - 1:
+            return y, T
+        order = self._order_of(own, len(y))
+        return y[order], sp.csr_array(T[order])
+
+    @staticmethod
+    def _order_of(own: np.ndarray, d: int) -> np.ndarray:
+        """The places of y in own powers followed by the other variables."""
+        return np.argsort(np.concatenate([own, np.setdiff1d(np.arange(d), own)]))
 
     def boundary_values(self, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
-        if not neighbour.is_parent:
-            return np.asarray(x[self._area.boundary_columns(neighbour)])
+        columns, (own, rows) = self._area.boundary_columns(neighbour), self._area.own_powers[neighbour.area]
+        if not len(own):
+            return np.asarray(x[columns])
+        y = np.empty(len(own) + len(columns))
         powers: list[float] = []
-        for bus, there, own, mutual in self._branches_at_parent:
+        for bus, there, admittance, mutual in self._branches_into_area[rows.start // 2 : rows.stop // 2]:
             va, vm = x[there], x[self._n + there]
             v = float(x[self._n + bus])
-            s = (own * v * v).sum() + (mutual * (v * vm * np.exp(1j * (x[bus] - va)))).sum()
+            s = (admittance * v * v).sum() + (mutual * (v * vm * np.exp(1j * (x[bus] - va)))).sum()
             powers += [s.real, s.imag]
-        return np.concatenate([powers, x[self._area.voltage_columns(neighbour)]])
+        y[own], y[np.setdiff1d(np.arange(len(y)), own)] = powers, x[columns]
+        return y
 
     @cached_property
-    def _branches_at_parent(self) -> list[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-        """For each bus of the parent's boundary: its row, rows of the branches' other ends, conj of own admittance and
-        of mutual ones.
+    def _branches_into_area(self) -> list[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+        """For each node of the powers into the area: its row, rows of the branches' other ends, conj of own admittance
+        and of mutual ones.
         """
         assert self._area.into_area is not None
         found = []
@@ -181,7 +193,7 @@ class SparseRows(Rows):
             if (message := received.get(n.area)) is None:
                 continue
             R, z = message.rows
-            if n.is_parent:
+            if len(self._area.own_powers[n.area][0]):
                 y, T = self.boundary(x, n)
                 rows.append((np.asarray(R @ T), np.arange(self._area.size)))
             else:

@@ -277,16 +277,17 @@ class AreaRound:
             others = {n: information for n, information in no_load.items() if n != name}
             return Content(information, estimation.no_load_for(name, others) if is_first else None, (), totals)
 
-        parent = self._area.parent.area if self._area.parent else ""
+        boundaries = self._area.boundaries
+        need_powers = [name for name in lower if boundaries[name].needs_powers(name)]  # at x_{k+1}
         for name in lower:
-            if name != parent:
+            if name not in need_powers:
                 yield name, find_content(name)  # as soon as it is known: its receiver computes meanwhile
-        for_parent = find_content(parent) if parent in lower else None
+        contents = {name: find_content(name) for name in need_powers}
         estimation.carry_out(verdict, self._memory, known, no_load)
         if down is not None and down.power and self.towards_hub:
             estimation.set_power(self.towards_hub, down.power)
-        if for_parent is not None:  # it needs the power at x_{k+1}
-            yield parent, replace(for_parent, power=self._find_power(parent))
+        for name, content in contents.items():
+            yield name, replace(content, power=self._find_power(name))
         if verdict.decision is Decision.FINAL:
             self.outcome = Outcome(verdict, totals, decider)
         self._go_to(k + 1)

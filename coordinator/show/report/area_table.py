@@ -55,7 +55,9 @@ def _summarise(partition: Partition, owned: dict[str, int]) -> list[str]:
 
 def format_area_tables(partition: Partition) -> str:
     """``[areas.NAME]`` tables that make the same areas, to paste into a scenario file."""
-    buses = {area.name: [bus.id for bus in area.network.buses] for area in partition.areas}
+    buses = {
+        area.name: [bus.id for bus in area.network.buses if bus.id not in area.relayed] for area in partition.areas
+    }
     plain = build_partition(partition.network, buses)
     tables = []
     for area in partition.areas:

@@ -68,7 +68,9 @@ def _find_own_injections(area: Area, state: StateMessage, found: GridState) -> t
     into its children. Boundary bus -> the reason that its injection is not known.
     """
     injection, network, powers = found.injection.copy(), area.network, area.powers_into_children
-    problems = dict.fromkeys(area.not_owned, f"{area.parent.area} owns this bus" if area.parent else "")
+    is_parents = area.parent is not None and all(there.has_one_flow for there in area.boundaries.values())
+    owner = area.parent.area if area.parent and is_parents else "another area"
+    problems = dict.fromkeys(area.not_owned, f"{owner} owns this bus")
     if len(state.into_children) != len(powers):
         for bus in {power.bus for power in powers}:
             children = listed([*dict.fromkeys(power.area for power in powers if power.bus == bus)], MOST_NAMED)

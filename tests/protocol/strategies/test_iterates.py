@@ -199,6 +199,21 @@ def test_where_rings_pass_through_an_area_and_its_parent_and_taps_do_not_cancel_
     assert_are_the_centres(compared)
 
 
+@pytest.mark.n_cases(few=2, long=8, many=200)
+def test_where_rings_pass_through_any_areas(n_cases):
+    """Some variables are relayed by areas that are not at their bus; a third of the grids has gross errors."""
+    compared, widest = Compared(), 0
+    for k in range(n_cases):
+        feeder = make_ring_feeder(k, 5 + k % 6, 1 + 5 * k % 11, decades=0.5 + k % 3, anywhere=True)
+        assert feeder is not None
+        widest = max(boundary.d for area in feeder.partition.areas for boundary in area.boundaries.values())
+        if k % 3 == 1:
+            feeder = with_gross_errors(np.random.default_rng(k), feeder)
+        compared.compare(feeder, f"ring {k}")
+    assert widest > 8
+    assert_are_the_centres(compared)
+
+
 @pytest.mark.random_cases(few=1, long=2, many=50)
 @pytest.mark.parametrize("full", [True, False])
 def test_near_the_limit_of_loading_undamped_steps_end_in_areas_and_centre_alike(random_seed, full):

@@ -157,7 +157,7 @@ def test_an_area_that_has_never_heard_of_its_parent_in_a_ring_does_not_take_powe
 @pytest.mark.parametrize("strategy", ["admm", "angle-offset"])
 def test_a_strategy_that_knows_one_bus_a_boundary_refuses_a_ring(strategy):
     scenario = replace(ring33(), strategy=strategy)
-    expected = f"areas lateral and main meet at buses 6, 18: a ring, which strategy '{strategy}' cannot take"
+    expected = f"areas lateral and main share buses 6, 18: a ring, which strategy '{strategy}' cannot take"
     with pytest.raises(InvalidInputError, match=expected):
         check_with_strategy(scenario)
     for content in area_files_of(scenario, strategy=strategy):

@@ -1,4 +1,4 @@
-"""Areas form a tree; every way in which they do not is reported; load messages add up to the load of the grid."""
+"""Messages of areas form a tree; every slip is reported; load messages add up to the load of the grid."""
 
 import math
 from dataclasses import replace
@@ -213,24 +213,109 @@ def test_areas_know_the_voltages_of_the_unloaded_ring_that_passes_through_them()
         np.testing.assert_allclose(area.find_no_load(), whole[:, partition.rows_of_buses[area.name]], atol=1e-12)
 
 
-def test_a_ring_of_three_areas_is_named_in_order():
-    network = grid((1, 2), (2, 3), (3, 4), (4, 1))
-    (problem,) = problems_of(network, {"a": [4, 1, 2], "b": [2, 3], "c": [3, 4]})
-    assert "areas form a loop: a - b - c - a" in problem
-    assert "closed at bus 3" in problem
+def carried(partition):
+    """(lower area, the area above it) -> the variables of their edge."""
+    return {(a.name, n.area): a.boundaries[n.area].names for a in partition.areas for n in a.neighbours if n.is_parent}
 
 
-def test_a_ring_away_from_the_substation_does_not_blame_the_areas_on_the_way():
-    network = grid((1, 2), (2, 3), (2, 4), (3, 5), (4, 5))
-    (problem,) = problems_of(network, {"root": [1, 2], "mid": [2, 3, 4], "x": [3, 5], "y": [4, 5]})
-    assert "areas form a loop: mid - x - y - mid, closed at bus 5" in problem
+def test_around_a_ring_of_three_areas_one_edge_is_left_out_and_its_variables_pass_over_the_other_two():
+    """The areas meet two by two at buses 2, 3 and 4; the third meeting, at bus 3 of b and c, is relayed by a."""
+    network = grid((1, 2), (2, 3), (3, 4), (4, 1), (1, 5))
+    partition = build_partition(network, {"a": [1, 2, 4, 5], "b": [2, 3], "c": [3, 4]})
+    a, b, c = partition.areas
+    assert carried(partition) == {
+        ("b", "a"): ("s@2>b", "s@3>c", "v@2", "v@3"),
+        ("c", "a"): ("s@3>c", "s@4>c", "v@3", "v@4"),
+    }
+    assert (a.not_owned, b.not_owned, c.not_owned) == ((3,), (2,), (3, 4))
+    assert partition.owner_of_bus == {1: "a", 2: "a", 3: "b", 4: "a", 5: "a"}
+    relayed = a.network.bus(3)
+    assert (relayed.p_load, relayed.b_shunt, a.network.branches_at[3]) == (0.0, 0.0, ())
+    assert sum(area.n_unknown for area in partition.areas) == 2 * 5 - 1
+    assert [(power.bus, power.area) for power in a.powers_into_children[::2]] == [(2, "b"), (3, "c"), (4, "c")]
 
 
-def test_a_ring_through_a_shared_bus_names_only_the_areas_of_the_ring():
-    """b and c branch off at bus 2 and meet again at bus 5; a only touches bus 2."""
-    network = grid((1, 2), (2, 3), (3, 5), (2, 4), (4, 5))
-    (problem,) = problems_of(network, {"a": [1, 2], "b": [2, 3, 5], "c": [2, 4, 5]})
-    assert "areas form a loop: b - c - b, closed at bus 5" in problem
+def test_an_area_that_only_relays_the_substation_knows_its_angle_and_is_no_reference():
+    """Areas o and x meet at bus 1, and each meets r at three buses: the edge between o and x is left out."""
+    near, far = (11, 12, 13), (21, 22, 23)
+    ends = [*((1, k) for k in near), *((k, 30) for k in (*near, *far)), *((k, 40) for k in (1, *far))]
+    areas = {"o": [1, *near], "r": [*near, 30, *far], "x": [1, *far, 40]}
+    o, r, x = build_partition(grid(*ends), areas).areas
+    assert ({n.area for n in r.neighbours}, [n.area for n in x.neighbours]) == ({"o", "x"}, ["r"])
+    assert {area.reference for area in (o, r, x)} == {(1, 0.0)}
+    assert [area.is_at_reference for area in (o, r, x)] == [True, False, True]
+
+
+def test_an_edge_of_too_many_variables_is_refused_with_the_branches_that_cause_it():
+    middle = range(2, 19)
+    network = grid(*((1, k) for k in middle), *((k, 20) for k in middle))
+    (problem,) = problems_of(network, {"near": [1, *middle], "far": [*middle, 20]})
+    assert problem.startswith(
+        "near and far would exchange 68 variables, of at most 64, as rings pass between them over"
+    )
+    assert "2-20 of far at bus 2" in problem
+
+
+@st.composite
+def meshed_areas(draw):
+    """A random tree with further branches, whose branches are divided among areas at random; each area in one piece."""
+    n = draw(st.integers(4, 12))
+    ends = {(draw(st.integers(1, i - 1)), i) for i in range(2, n + 1)}
+    others = st.tuples(st.integers(1, n), st.integers(1, n)).map(lambda pair: tuple(sorted(pair)))
+    ends |= set(draw(st.lists(others.filter(lambda pair: pair[0] != pair[1]), max_size=4)))
+    return grid(*sorted(ends)), draw(st.integers(0, 2**16))
+
+
+@settings(max_examples=60, deadline=None)
+@given(meshed_areas())
+def test_every_area_between_two_that_use_a_variable_has_it(drawn):
+    """The running intersection: along the tree of messages a variable is carried from each user to all others."""
+    network, seed = drawn
+    partition = build_partition(network, one_area_a_branch(network, seed))
+    users: dict[object, set[str]] = {}
+    for bus, (owner, *others) in partition.boundaries.items():
+        there = [name for name in others if partition.area(name).network.branches_at[bus]]
+        for name in there:
+            users[Kind.P_INJECTION, bus, name] = {owner, name}
+        users[Kind.VM, bus] = {owner, *there}
+    for area in partition.areas:
+        for n in area.neighbours:
+            behind = beyond(partition, area.name, n.area)
+            crossing = {what for what, names in users.items() if names & behind and names - behind}
+            boundary = area.boundaries[n.area]
+            found = {(Kind.P_INJECTION, v.bus, v.area) if v.area else (Kind.VM, v.bus) for v in boundary.variables}
+            assert found == crossing
+
+
+def one_area_a_branch(network, seed):
+    """An area for each branch, or for two that meet."""
+    rng, areas, taken = np.random.default_rng(seed), {}, set()
+    for k, branch in enumerate(network.branches):
+        if k in taken:
+            continue
+        buses = {branch.from_bus, branch.to_bus}
+        for other in range(k + 1, len(network.branches)):
+            there = {network.branches[other].from_bus, network.branches[other].to_bus}
+            if other not in taken and buses & there and rng.random() < 0.3 and len(buses | there) == 3:
+                wider = buses | there
+                inside = [b for b in network.branches if {b.from_bus, b.to_bus} <= wider]
+                if len(inside) == 2:
+                    taken.add(other)
+                    buses = wider
+                    break
+        areas[f"x{k}"] = sorted(buses)
+    return areas
+
+
+def beyond(partition, one, other):
+    """The areas behind ``other``, seen from its neighbour ``one``."""
+    found, queue = {other}, [other]
+    for name in queue:  # the queue grows
+        for n in partition.area(name).neighbours:
+            if n.area not in found and n.area != one:
+                found.add(n.area)
+                queue.append(n.area)
+    return found
 
 
 @st.composite
