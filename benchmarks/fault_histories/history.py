@@ -27,9 +27,9 @@ from dsse_core.grid.nodes import list_phases
 from dsse_core.grid.partition import Partition
 from dsse_core.link_faults import LinkFaults, Window
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
+from scenarios.files.network_file import load_case
 from scenarios.generate.cutting import cut_into
 from scenarios.generate.feeder import generate_feeder
-from scenarios.scenario import load_scenario
 
 Link = tuple[str, str]
 KIND = MeasurementKind
@@ -40,6 +40,7 @@ HEARTBEAT_S = 0.2
 FAULTS_S = 2.4  # time with faults
 PATIENCE_S = 60.0  # afterwards
 SCANS = 3
+AREAS = {"ieee13": (3, 6), "ieee123": (6, 10)}  # fewest and most, of a feeder with phases
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,10 +100,10 @@ class World:
         return stamp_split(files, time=0.0)
 
 
-def run_history(seed: int, *, phases: bool = False) -> HistoryOutcome:
-    """Draw and run one history. ``phases``: of ieee13, not of a balanced feeder."""
+def run_history(seed: int, *, feeder: str = "") -> HistoryOutcome:
+    """Draw and run one history. ``feeder``: a shipped one with phases; empty for a random balanced one."""
     rng = np.random.default_rng(seed)
-    world = (draw_unbalanced_world if phases else draw_world)(rng)
+    world = draw_unbalanced_world(rng, feeder) if feeder else draw_world(rng)
     severity = float(rng.random())  # share of the possible faults that happen
     shown: list[StateMessage] = []
     links = [(area.name, n.area) for area in world.partition.areas for n in area.neighbours]
@@ -136,9 +137,10 @@ def draw_world(rng: np.random.Generator) -> World:
     return _read_world(rng, network, n_area)
 
 
-def draw_unbalanced_world(rng: np.random.Generator) -> World:
-    """``ieee13`` in 3 to 6 areas: boundaries of two and three phases, some at buses with loads between phases."""
-    return _read_world(rng, load_scenario("ieee13").network, int(rng.integers(3, 7)))
+def draw_unbalanced_world(rng: np.random.Generator, name: str) -> World:
+    """A shipped feeder with phases, cut at random: boundaries of one to three, at delta loads too."""
+    fewest, most = AREAS[name]
+    return _read_world(rng, load_case(name), int(rng.integers(fewest, most + 1)))
 
 
 def _read_world(rng: np.random.Generator, network: Network, n_area: int) -> World:
@@ -212,7 +214,11 @@ def draw_meters(rng: np.random.Generator, network: Network) -> list[Meter]:
     """Meters of |V| at the substation and 40 % of the nodes, of flows on 60 % of the branches, of all injections."""
     assert network.slack is not None
     slack = network.slack.bus
-    meters = [Meter(KIND.VM, bus, phases=phase) for bus, phase in network.nodes if bus == slack or rng.random() < 0.4]
+    meters = [
+        Meter(KIND.VM, bus, phases=_voltage_at(network, bus, phase))
+        for bus, phase in network.nodes
+        if bus == slack or rng.random() < 0.4
+    ]
     for branch in network.active_branches:
         if rng.random() < 0.6:
             phases = list_phases(branch.primitive.from_phases if branch.primitive else "")
@@ -222,6 +228,14 @@ def draw_meters(rng: np.random.Generator, network: Network) -> list[Meter]:
         source = Source.VIRTUAL if scheduled == 0 and bus != slack else Source.TELEMETERED
         meters += [Meter(k, bus, source=source, phases=phase) for k in (KIND.P_INJECTION, KIND.Q_INJECTION)]
     return meters
+
+
+def _voltage_at(network: Network, bus: int, phase: str) -> str:
+    """The phases of a voltmeter at a node: between it and the next phase where there is no ground."""
+    if bus not in network.gauge.ungrounded:
+        return phase
+    phases = list_phases(network.bus(bus).phases)
+    return phase + phases[(phases.index(phase) + 1) % len(phases)]
 
 
 def _with_other_loads(rng: np.random.Generator, network: Network) -> Network:

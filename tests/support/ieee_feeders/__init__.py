@@ -1,4 +1,6 @@
-"""Feeders of OpenDSS as network files with phases, and the voltages that OpenDSS finds, both by ``convert.py``."""
+"""Feeders of OpenDSS as network files with phases, and the voltages that OpenDSS finds, both by ``convert.py``; of
+those shipped, ``ieee123`` is the shipped file.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from dsse_core.grid.network import Network
-from scenarios.files.network_file import load_network
+from scenarios.files.network_file import load_case, load_network
 
 HERE = Path(__file__).parent
 NAMES = ("ieee13", "ieee34", "ieee37", "ieee123", "4bus-dy", "4bus-yd", "4bus-grdyd", "4bus-yy", "4bus-oyod")
+SHIPPED = ("ieee123",)  # read from there
 
 
 @functools.cache
 def load_feeder(name: str) -> Network:
-    return load_network(HERE / f"{name}.json")
+    return load_case(name) if name in SHIPPED else load_network(HERE / f"{name}.json")
 
 
 def load_voltages(name: str) -> np.ndarray:

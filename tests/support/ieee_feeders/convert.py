@@ -22,14 +22,17 @@ from typing import Any
 
 import numpy as np
 
+from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.loads import Load
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.grid.nodes import Primitive, list_phases
 from dsse_core.grid.primitives import Side, build_bank, build_line, find_size
 from scenarios.files.network_columns import default_branch_id
+from scenarios.files.network_file import load_case
 from scenarios.files.saved_network import save_network
 from scenarios.importers.fused_branches import fuse_zero_impedances
 from scenarios.importers.imported import Remark
+from tests.support.ieee_feeders import SHIPPED
 
 HERE = Path(__file__).parent
 SOURCE_OF_ALL = (
@@ -272,6 +275,12 @@ class Feeder:
                 yield Load(self.number[bus], leg, complex(s.real * u**p, s.imag * u**q), (p, q))
 
 
+def compare(network: Network, shipped: Network) -> float:
+    """The largest difference of their admittances, of the largest of its row; both have their nodes in one order."""
+    due, found = (build_admittance(one).ybus.toarray() for one in (network, shipped))
+    return float((abs(found - due) / abs(due).max(axis=1, keepdims=True)).max())
+
+
 def main() -> None:
     voltages = {}
     for name, case in CASES.items():
@@ -279,7 +288,10 @@ def main() -> None:
         network, remarks = feeder.convert(name)
         print(f"{name}: {network.n_nodes} nodes, matrices as OpenDSS has them to {feeder.worst:.1e}")
         print(*(f"    {remark.what}: {remark.text}" for remark in remarks), sep="\n")
-        save_network(HERE / f"{name}.json", network, f"{SOURCE_OF_ALL}, {case.file}")
+        if name in SHIPPED:
+            print(f"    its matrix is the shipped one to {compare(network, load_case(name)):.1e}")
+        else:
+            save_network(HERE / f"{name}.json", network, f"{SOURCE_OF_ALL}, {case.file}")
         voltages[name] = Feeder(Path(sys.argv[1]).absolute(), case, case.merged).voltages(feeder)
     (HERE / "voltages.json").write_text(json.dumps({"source": SOURCE_OF_ALL, **voltages}, indent=0), encoding="utf-8")
 

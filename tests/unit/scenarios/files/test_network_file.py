@@ -122,7 +122,7 @@ def test_all_problems_are_reported_at_once(tmp_path: Path) -> None:
 
 def test_an_unknown_case_is_rejected_with_those_that_are_shipped() -> None:
     with pytest.raises(
-        InvalidInputError, match="shipped: case33bw, ieee13, ieee33, industrial13; did you mean 'ieee33'"
+        InvalidInputError, match="shipped: case33bw, ieee123, ieee13, ieee33, industrial13; did you mean 'ieee33'"
     ):
         load_case("iee33")
 

@@ -116,7 +116,9 @@ def test_a_file_that_is_no_text_is_reported(tmp_path: Path) -> None:
 
 
 def test_an_unknown_shipped_scenario_is_rejected_with_the_names_and_the_closest() -> None:
-    with pytest.raises(InvalidInputError, match=r"shipped: case33bw, ieee13, ieee33, .*did you mean 'ieee33-lossy'"):
+    with pytest.raises(
+        InvalidInputError, match=r"shipped: case33bw, ieee123, ieee13, ieee33, .*did you mean 'ieee33-lossy'"
+    ):
         load_scenario("ieee33-losy")
 
 
@@ -158,7 +160,7 @@ def test_a_strategy_that_the_caller_knows_is_accepted(tmp_path: Path) -> None:
 
 def test_an_unknown_network_is_rejected_with_those_that_are_shipped(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed('network = "ieee33"', 'network = "ieee34"')))
-    assert "shipped: case33bw, ieee13, ieee33, industrial13; did you mean 'ieee33'?" in problem
+    assert "shipped: case33bw, ieee123, ieee13, ieee33, industrial13; did you mean 'ieee33'?" in problem
     assert problem.startswith("network: ")
 
 

@@ -17,6 +17,7 @@ from scenarios.scenario import list_scenarios, load_scenario
 
 NAMES = [
     "case33bw",
+    "ieee123",
     "ieee13",
     "ieee33",
     "ieee33-bursts",
