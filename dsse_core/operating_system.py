@@ -11,7 +11,7 @@
 | SIGHUP, SIGUSR1, SIGUSR2, SIGSTOP, SIGCONT | None: the callers do without, or say that it is missing |
 | SIGKILL | SIGTERM, which ends a process at once on systems without SIGKILL |
 | masks of signals | signals are not held back |
-| limit of open files | none |
+| limits of open files, of the size of files, of memory | none |
 | fork | ordinary processes (``coordinator/lab/process_run/fork_server.py``) |
 | process groups | the process alone |
 """
@@ -101,6 +101,13 @@ def find_limit_of_open_files() -> int | None:
         return None
     limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     return None if limit == resource.RLIM_INFINITY else limit
+
+
+def confine(memory: int) -> None:
+    """Limits of this process from now on: no file grows by a byte (pipes are none), and ``memory`` bytes at most."""
+    if HAS_LIMITS:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
 
 
 @contextlib.contextmanager

@@ -133,7 +133,7 @@ def generate(
     answer(as_json, {"files": files, "scenario": path}, "\n".join([*map(str, files), next_run(path)]))
 
 
-@command(STUDY, "import", short_help="Take over a network from MATPOWER, pandapower or power-grid-model.")
+@command(STUDY, "import", short_help="Take over a network of MATPOWER, OpenDSS, pandapower, power-grid-model.")
 @click.argument("file", type=click.Path(path_type=Path))
 @folder_option
 @click.option("--areas", "n_area", type=click.IntRange(min=1), default=1, show_default=True, help="How many areas.")
@@ -147,9 +147,18 @@ def generate(
     metavar="HZ",
     help="For power-grid-model, whose files do not hold it.",
 )
+@click.option(
+    "--within",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    metavar="DIR",
+    help="For OpenDSS: FILE may name files in DIR.  [default: its own folder]",
+)
 @json_option
-def import_file(file: Path, out: Path, n_area: int, name: str | None, frequency_hz: float, as_json: bool) -> None:
-    """Take over FILE, a MATPOWER case (.m), pandapower network or power-grid-model input (.json), as a scenario.
+def import_file(
+    file: Path, out: Path, n_area: int, name: str | None, frequency_hz: float, within: Path | None, as_json: bool
+) -> None:
+    """Take over FILE as a scenario: a MATPOWER case (.m), an OpenDSS circuit (.dss), a pandapower network or
+    power-grid-model input (.json).
 
     Writes network.toml (or .json, if large), scenario.toml, import.txt and, where FILE has measurements, readings.csv.
 
@@ -159,7 +168,7 @@ def import_file(file: Path, out: Path, n_area: int, name: str | None, frequency_
     from scenarios.importers import import_grid
     from scenarios.importers.imported_files import write_imported
 
-    imported = import_grid(file, name=name, frequency_hz=frequency_hz)
+    imported = import_grid(file, name=name, frequency_hz=frequency_hz, within=within)
     path, summary = write_imported(out, imported, n_area, lambda scenario: _check(scenario, file))
     answer(as_json, {"summary": summary, "scenario": path}, f"{summary}\n{next_run(path)}")
 

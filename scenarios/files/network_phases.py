@@ -357,14 +357,14 @@ def _read_legs(table: LoadTable, place: _Place) -> list[Load]:
         return []
     loads = []
     for leg, p, q, (of_p, of_q) in zip(legs, *powers, exponents.tolist(), strict=True):
-        nominal = place.kv[table.bus] / math.sqrt(3) * _find_nominal_across(leg)
+        nominal = place.kv[table.bus] / math.sqrt(3) * find_nominal_across(leg)
         share = 1.0 if table.kv is None else nominal / table.kv
         s = complex(p * share**of_p, q * share**of_q) / 1000 / (place.base_mva / 3)
         loads.append(Load(table.bus, leg, s, (of_p, of_q)))
     return loads
 
 
-def _find_nominal_across(leg: str) -> float:
+def find_nominal_across(leg: str) -> float:
     """The nominal voltage across a leg by that of a phase to ground: 3^0.5 between two of a, b, c, 2 of s1 and s2."""
     ends = np.exp(1j * PHASE_ANGLE[[PHASES.index(phase) for phase in list_phases(leg)]])
     return float(abs(ends[0] - ends[1])) if len(ends) == 2 else 1.0

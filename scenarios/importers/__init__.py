@@ -1,4 +1,4 @@
-"""Networks and readings of other projects: MATPOWER, pandapower, power-grid-model; see docs/how-to/import.md."""
+"""Networks and readings of other projects: MATPOWER, OpenDSS, pandapower, power-grid-model (docs/how-to/import.md)."""
 
 from __future__ import annotations
 
@@ -15,18 +15,21 @@ from scenarios.importers.imported import Imported
 __all__ = ["Imported", "import_grid"]
 
 
-def import_grid(path: Path, *, name: str | None = None, frequency_hz: float = 50.0) -> Imported:
+def import_grid(
+    path: Path, *, name: str | None = None, frequency_hz: float = 50.0, within: Path | None = None
+) -> Imported:
     """Read a file of another project, which its ending and content tell.
 
     ``name``: of the network, that of the file if None; it is made printable, since a file name may hold any character.
-    ``frequency_hz`` is for power-grid-model alone, whose files do not hold it.
+    ``frequency_hz`` is for power-grid-model alone, whose files do not hold it. ``within`` is for OpenDSS alone: the
+    folder of all files that ``path`` may name, by default its own.
 
     Raises:
         InvalidInputError: unknown format, missing optional package, everything that the network model cannot hold, and
             every number that no grid has.
     """
     try:
-        imported = _read(path, frequency_hz)
+        imported = _read(path, frequency_hz, within)
     except ArithmeticError as error:  # of numbers that stand for no grid, before there is a network to look at
         problem = f"it has numbers that cannot be computed with ({type(error).__name__}); look for zeros and huge ones"
         raise InvalidInputError(str(path), [problem]) from None
@@ -36,14 +39,18 @@ def import_grid(path: Path, *, name: str | None = None, frequency_hz: float = 50
     return replace(imported, network=network, data_source=printable(imported.data_source))
 
 
-def _read(path: Path, frequency_hz: float) -> Imported:
+def _read(path: Path, frequency_hz: float, within: Path | None) -> Imported:
     if path.suffix == ".m":
         from scenarios.importers.matpower.reader import read_matpower
 
         return read_matpower(path)
+    if path.suffix.lower() == ".dss":
+        from scenarios.importers.opendss.reader import read_opendss
+
+        return read_opendss(path, within)
     if path.suffix != ".json":
         hint = "; a network in TOML needs no import, a scenario file names it" if path.suffix == ".toml" else ""
-        raise InvalidInputError(str(path), [f"the ending {path.suffix!r} is not known; .m and .json are{hint}"])
+        raise InvalidInputError(str(path), [f"the ending {path.suffix!r} is not known; .m, .dss and .json are{hint}"])
     text = read_text(path)
     try:
         content = parse_json(text)

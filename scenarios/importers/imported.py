@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Any, Literal
 
@@ -30,11 +30,20 @@ class Remark:
 
 
 @dataclass(frozen=True)
+class Places:
+    """Places of made-up meters: buses with a voltage meter at each phase, branches with P and Q of each phase."""
+
+    buses: tuple[int, ...]
+    branches: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Imported:
     """A network and the readings of its meters, as another project's file has them; p.u. and rad.
 
     ``converted``: kind of element -> how many. ``zero_injection``: as in a scenario file. ``substation``: bus of its
-    voltage meter, the slack bus if None.
+    voltage meter, the slack bus if None. ``places``: of made-up meters, of a network with phases. ``files``: texts of
+    further files beside the network, by their names.
     """
 
     network: Network
@@ -44,6 +53,8 @@ class Imported:
     readings: tuple[Measurement, ...] = ()
     zero_injection: Literal["virtual", "measured"] | tuple[int, ...] = "virtual"
     substation: int | None = None
+    places: Places | None = None
+    files: Mapping[str, str] = field(default_factory=dict)
 
 
 def load_extra(module: str, extra: str, what: str) -> ModuleType:
@@ -143,6 +154,7 @@ def leave_out_islands(network: Network) -> tuple[Network, list[Remark]]:
 def without_buses(network: Network, gone: Collection[int], reason: str) -> tuple[Network, list[Remark]]:
     """``network`` without some buses and all that ends or stands there, and a remark that says so."""
     load = network.base_mva * sum(bus.p_load for bus in network.buses if bus.id in gone)
+    load += network.node_mva * sum(load.s.real for load in network.loads if load.bus in gone)
     sources = sum(g.bus in gone for g in network.generators)
     branches = tuple(b for b in network.branches if b.from_bus not in gone and b.to_bus not in gone)
     text = (
@@ -154,6 +166,7 @@ def without_buses(network: Network, gone: Collection[int], reason: str) -> tuple
         buses=tuple(bus for bus in network.buses if bus.id not in gone),
         branches=branches,
         generators=tuple(g for g in network.generators if g.bus not in gone),
+        loads=tuple(load for load in network.loads if load.bus not in gone),
     )
     return rest, [Remark("left out", text)]
 

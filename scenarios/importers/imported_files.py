@@ -15,6 +15,7 @@ from scenarios.importers.imported import Imported
 
 FILES = ("network.toml", "network.json", "scenario.toml", "readings.csv", "import.txt")
 LONGEST_KIND = 8
+FLOOR = 1.0  # kVA by MVA of a phase: smallest standard deviation of made-up meters
 DEFAULT_METERS = """
 # The source has no measurements. These meters are made up: change them to those that there are.
 [measurements]
@@ -22,6 +23,18 @@ zero_injection = "virtual"               # buses without load and source inject 
 voltage = {{ buses = [{substation}], sigma_percent = 0.2 }}
 flow = {{ branches = "all", sigma_percent = 1.0 }}        # P and Q at the from end
 injection = {{ buses = "all", sigma_percent = 10.0 }}     # P and Q
+
+[telemetry]
+source = "network"                       # readings of the power flow, with noise
+"""
+METERS_OF_PHASES = """
+# These meters are made up: at the head, at regulators and at some ends; loads are forecasts. Change them to yours.
+[measurements]
+floor_kva = {floor_kva:g}                # no percentage below means less, in a phase
+zero_injection = "virtual"               # nodes without load and source inject exactly nothing
+voltage = {{ buses = {buses}, sigma_percent = 0.5 }}
+flow = {{ branches = {branches}, sigma_percent = 1.0 }}   # P and Q of each phase
+injection = {{ buses = "all", sigma_percent = 30.0 }}     # P and Q of each phase, or leg
 
 [telemetry]
 source = "network"                       # readings of the power flow, with noise
@@ -48,7 +61,8 @@ def write_imported(
         InvalidInputError: one of the files is there already, or the network cannot be cut into ``n_area`` areas.
         OSError: ``folder`` cannot be made or written.
     """
-    if present := [name for name in FILES if (folder / name).exists()]:
+    files = (*FILES, *imported.files)
+    if present := [name for name in files if (folder / name).exists()]:
         problems = [f"{name} is there already; choose another folder" for name in present]
         raise InvalidInputError(f"folder {folder}", problems)
     cut_into(imported.network, n_area)
@@ -58,7 +72,7 @@ def write_imported(
         path = _write_files(folder, imported, n_area)
         check(path)
     except BaseException as error:
-        for name in FILES:
+        for name in files:
             with contextlib.suppress(OSError):  # never made, where the folder cannot be
                 (folder / name).unlink(missing_ok=True)
         for parent in made:
@@ -77,9 +91,15 @@ def _write_files(folder: Path, imported: Imported, n_area: int) -> Path:
         save_readings(folder / "readings.csv", network, imported.readings)
         zero = imported.zero_injection
         meters = REAL_METERS.format(zero_injection=list(zero) if isinstance(zero, tuple) else f'"{zero}"')
+    elif places := imported.places:
+        branches = format_toml(list(places.branches))
+        floor = network.node_mva * FLOOR
+        meters = METERS_OF_PHASES.format(buses=list(places.buses), branches=branches, floor_kva=floor)
     else:
         slack = network.slack.bus if network.slack else network.buses[0].id
         meters = DEFAULT_METERS.format(substation=slack if imported.substation is None else imported.substation)
+    for name, text in imported.files.items():
+        (folder / name).write_text(text, encoding="utf-8")
     path = folder / "scenario.toml"
     path.write_text(_head(imported, n_area) + meters, encoding="utf-8")
     (folder / "import.txt").write_text(summarise(imported, full=True) + "\n", encoding="utf-8")

@@ -93,7 +93,7 @@ def test_an_open_end_draws_what_the_branch_draws_with_nothing_behind_it() -> Non
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
-        ("grid.xlsx", "", "the ending '.xlsx' is not known; .m and .json are"),
+        ("grid.xlsx", "", "the ending '.xlsx' is not known; .m, .dss and .json are"),
         ("grid.json", "{", "not JSON"),
         ("grid.json", '{"some": "thing"}', "neither a pandapower network"),
         ("grid.json", "[1, 2]", "neither a pandapower network"),

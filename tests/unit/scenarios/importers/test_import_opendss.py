@@ -1,0 +1,309 @@
+"""Circuits of OpenDSS as networks: the power flow is OpenDSS's own, and what no network can hold is refused by name.
+
+With OpenDSS (extra opendss) alone. The IEEE feeders are read where OPENDSS_FEEDERS names a checkout of
+github.com/dss-extensions/electricdss-tst at 3b20839.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.grid.network import Network
+from dsse_core.grid.nodes import Primitive
+from dsse_core.power_flow.newton_raphson import solve_power_flow
+from dsse_core.results.units import base_current
+from scenarios.files.network_file import load_network
+from scenarios.files.saved_network import save_network
+from scenarios.importers import import_grid
+from scenarios.importers.opendss.reader import Circuit, solve_circuit
+from scenarios.importers.opendss.script import read_script
+from scenarios.importers.opendss.vocabulary import Words, load_vocabulary
+from tests.support.levels import further
+
+pytest.importorskip("opendssdirect", reason="needs OpenDSS: pip install '.[opendss]'")
+FEEDERS = Path(os.environ.get("OPENDSS_FEEDERS", "")) / "Version8/Distrib/IEEETestCases"
+TOY = """clear
+set defaultbasefrequency=60
+new circuit.toy basekv=12.47 pu=1.02 mvasc3=200 mvasc1=180
+new linecode.three nphases=3 rmatrix=[0.3465 | 0.156 0.3375 | 0.158 0.1535 0.3414] units=mi
+~ xmatrix=[1.0179 | 0.5017 1.0478 | 0.4236 0.3849 1.0348] cmatrix=[15 | -5 16 | -2 -3 14]
+new transformer.sub phases=3 windings=2 xhl=6 %imag=1 %noloadloss=0.5
+~ wdg=1 bus=sourcebus conn=delta kv=12.47 kva=5000 %r=0.5
+~ wdg=2 bus=650 conn=wye kv=4.16 kva=5000 %r=0.5
+new transformer.reg1 phases=1 xhl=1 kvas=[1666 1666] buses=[650.1 r60.1] kvs=[2.4 2.4] %loadloss=0.01
+new transformer.reg2 like=reg1 buses=[650.2 r60.2]
+new transformer.reg3 like=reg1 buses=[650.3 r60.3]
+new regcontrol.r1 transformer=reg1 winding=2 vreg=124 band=2 ptratio=20
+new regcontrol.r2 transformer=reg2 winding=2 vreg=122 band=2 ptratio=20
+new line.main bus1=r60 bus2=632 linecode=three length=2000 units=ft normamps=600
+new line.lateral phases=2 bus1=632.3.2 bus2=645.3.2 r1=0.2 x1=0.3 r0=0.5 x0=0.9 c1=10 c0=5 length=0.5
+new line.single phases=1 bus1=632.1 bus2=652.1 r1=0.3 x1=0.4 c1=0 length=0.5
+new line.tie bus1=645.2.3 bus2=633.2.3 phases=2 r1=0.1 x1=0.1 switch=y
+open line.tie 1
+new reactor.series bus1=632 bus2=633 r=0.01 x=0.1
+new transformer.open1 phases=1 buses=[633.1.2 671.1.2] conns=[delta delta] kvs=[4.16 0.48] kvas=[100 100] xhl=3
+new transformer.open2 phases=1 buses=[633.3.2 671.3.2] conns=[delta delta] kvs=[4.16 0.48] kvas=[100 100] xhl=3
+new transformer.star phases=3 windings=2 buses=[633.1.2.3.4 634] conns=[wye delta] kvs=[4.16 0.48] kvas=[300 300] xhl=4
+new transformer.tap phases=1 windings=3 buses=[652.1 x1.1.0 x1.0.2] kvs=[2.4 0.12 0.12] kvas=[25 25 25]
+~ xhl=2.04 xht=2.04 xlt=1.36 %rs=[0.6 1.2 1.2] %noloadloss=0.2
+new line.service phases=2 bus1=x1.1.2 bus2=s1.1.2 r1=0.05 x1=0.03 r0=0.06 x0=0.05 c1=0 c0=0 length=0.2
+new capacitor.whole bus1=632 kv=4.16 kvar=300
+new capacitor.delta bus1=633 kv=4.16 kvar=60 conn=delta
+new reactor.shunt bus1=632.1 phases=1 kv=2.4 kvar=20
+new loadshape.day npts=3 interval=0.5 mult=(0.2 1.0 0.6)
+new loadshape.actual npts=2 hour=(0 2) mult=(1.5 3.0) useactual=yes interval=0
+new loadshape.unused npts=1 mult=(1)
+new load.m1 bus1=632 kv=4.16 kw=600 kvar=300 conn=delta model=1
+new load.m2 bus1=645.2.3 phases=1 kv=4.16 kw=100 kvar=50 conn=delta model=2
+new load.m3 bus1=645.3 phases=1 kv=2.4 kw=50 kvar=30 model=3
+new load.m4 bus1=632.1 phases=1 kv=2.4 kw=80 kvar=40 model=4 cvrwatts=0.8 cvrvars=3
+new load.m5 bus1=652.1 phases=1 kv=2.3 kw=60 kvar=20 model=5
+new load.m8 bus1=633.2 phases=1 kv=2.4 kw=90 kvar=45 model=8 zipv=[0.2 0.3 0.5 0.5 0.4 0.1 0.3]
+new load.pair bus1=632.1.2 phases=2 kv=4.16 kw=40 kvar=10
+new load.behind bus1=634 kv=0.48 kw=90 kvar=40 conn=delta yearly=day
+new load.fixed bus1=671.1.2 phases=1 kv=0.48 kw=20 kvar=5 conn=delta status=fixed
+new load.half bus1=s1.1 phases=1 kv=0.12 kw=3 kvar=1 daily=actual
+new load.other bus1=s1.2 phases=1 kv=0.12 kw=4 pf=0.95
+new load.both bus1=s1.1.2 phases=1 kv=0.24 kw=5 kvar=1 conn=delta
+new generator.g bus1=633 kv=4.16 kw=90 kvar=30 model=1
+new pvsystem.pv bus1=645.2.3 phases=1 conn=delta kv=4.16 kva=50 pmpp=40 irradiance=0.8 pf=0.95
+new energymeter.m line.main 1
+set loadmult=0.9
+set voltagebases=[12.47 4.16 0.48 0.208]
+calcvoltagebases
+solve
+setbusxy bus=632 x=3 y=4
+"""
+
+
+def write(folder: Path, text: str, name: str = "toy.dss") -> Path:
+    (folder / name).write_text(text, encoding="utf-8")
+    return folder / name
+
+
+def compare(path: Path, within: Path | None = None) -> tuple[Network, float, float]:
+    """The imported network, nothing fused, and its largest differences of voltages to OpenDSS, p.u.: to ground, where
+    there is one, and between phases."""
+    script = read_script(path, within)
+    circuit = Circuit(solve_circuit(script, path), script)
+    network, _ = circuit.build()
+    found = solve_power_flow(network, tolerance=1e-12)
+    mine = dict(zip(network.nodes, found.vm * np.exp(1j * found.va), strict=True))
+    inside = network.slack.bus
+    d = {node: v - circuit.voltages[node] for node, v in mine.items() if node[0] != inside}
+    floating = set(network.gauge.ungrounded)
+    of_bus: dict[int, list[complex]] = {}
+    for (bus, _), apart in d.items():
+        of_bus.setdefault(bus, []).append(apart)
+    between = max(abs(one - other) for of in of_bus.values() for one in of for other in of)
+    return network, max(abs(apart) for node, apart in d.items() if node[0] not in floating), between
+
+
+def test_the_power_flow_of_all_kinds_of_elements_is_that_of_opendss(tmp_path: Path) -> None:
+    network, to_ground, between = compare(write(tmp_path, TOY))
+    assert network.n_nodes == 31
+    assert (to_ground, between) < (1e-8, 1e-8)
+    taps = {branch.name: branch for branch in network.branches}
+    y = taps["transformer.reg1"].primitive.y
+    assert y[0, 1] / y[1, 1] == pytest.approx(-1.0125)  # OpenDSS's control has moved it
+
+
+def test_what_was_changed_is_said_and_profiles_stand_beside(tmp_path: Path) -> None:
+    imported = import_grid(write(tmp_path, TOY))
+    network = imported.network
+    remarks = {remark.text.split(":")[0]: remark.what for remark in imported.remarks}
+    assert remarks == {
+        "energymeter (1)": "left out",
+        "line.tie": "note",
+        "generator.g, pvsystem.pv": "changed",
+        "load.m5": "changed",
+        "load.m8": "changed",
+        "loadshape.actual": "changed",
+    }
+    buses = {bus.name or str(bus.id): bus for bus in network.buses}
+    assert (buses["632"].x, buses["632"].y, buses["s1"].phases) == (3.0, 4.0, "s1s2")
+    branches = {branch.name: branch for branch in network.branches}
+    assert not branches["line.tie"].in_service
+    assert branches["line.main"].i_max * base_current(network.base_mva, 4.16) == pytest.approx(600)
+    produced = [load for load in network.loads if load.s.real < 0]
+    assert sum(load.s.real for load in produced) * network.node_mva == pytest.approx(-0.09 - 0.032, abs=1e-6)
+    shares = imported.files["profiles.csv"].splitlines()
+    assert shares[:4] == ["profile,time_s,p_share,q_share", "day,0,0.2,0.2", "day,1800,1.0,1.0", "day,3600,0.6,0.6"]
+    assert shares[4:] == ["actual,0,0.5,0.5", "actual,7200,1.0,1.0"]
+    assert imported.files["profiles_of_loads.csv"].splitlines()[1].startswith("load.behind,634,ab,day")
+
+
+def test_a_network_file_has_the_matrices_of_opendss(tmp_path: Path) -> None:
+    network = import_grid(write(tmp_path, TOY)).network
+    save_network(tmp_path / "network.toml", network, "test")
+    again = load_network(tmp_path / "network.toml")
+    for one, other in zip(network.branches, again.branches, strict=True):
+        assert isinstance(one.primitive, Primitive)
+        assert other.primitive.y == pytest.approx(one.primitive.y, rel=1e-14)
+
+
+PARAMETERS = """
+name = "by parameters"
+data_source = "made up"
+base_mva = 5.0
+source = [{ bus = 1, kind = "slack", vm_pu = 1.0 }]
+bus = [
+    { id = 1, base_kv = 4.16, phases = "abc" }, { id = 2, base_kv = 4.16, phases = "abc" },
+    { id = 3, base_kv = 0.48, phases = "abc" }, { id = 4, base_kv = 4.16, phases = "abc" },
+]
+[[branch]]
+from = 1
+to = 2
+phases = "abc"
+r_ohm = [[0.3465], [0.156, 0.3375], [0.158, 0.1535, 0.3414]]
+x_ohm = [[1.0179], [0.5017, 1.0478], [0.4236, 0.3849, 1.0348]]
+b_us = [[5.65486677646], [-1.88495559215, 6.03185789489], [-0.75398223686, -1.13097335529, 5.27787565803]]
+[[transformer]]
+windings = [{ bus = 2, phases = "abc", kv = 4.16, connection = "CONNECTION" },
+            { bus = 3, phases = "abc", kv = 0.48, connection = "grounded wye", taps = 1.025 }]
+kva = 500.0
+r_percent = 1.1
+x_percent = 4.0
+[[transformer]]
+windings = [{ bus = 2, phases = "a", kv = 4.16, connection = "grounded wye" },
+            { bus = 4, phases = "a", kv = 4.16, connection = "grounded wye", taps = [1.0625] }]
+kva = 1666.0
+r_percent = 0.01
+x_percent = 1.0
+"""
+SAME = """new circuit.same basekv=4.16
+edit vsource.source bus1=1 enabled=yes
+new line.one bus1=1 bus2=2 length=1 rmatrix=[0.3465 | 0.156 0.3375 | 0.158 0.1535 0.3414]
+~ xmatrix=[1.0179 | 0.5017 1.0478 | 0.4236 0.3849 1.0348] cmatrix=[15 | -5 16 | -2 -3 14]
+new transformer.t buses=[2 3] conns=[CONNECTION wye] kvs=[4.16 0.48] kvas=[500 500] xhl=4 %rs=[0.55 0.55]
+~ taps=[1 1.025]
+new transformer.reg phases=1 buses=[2.1 4.1] kvs=[(4.16 3 sqrt /) (4.16 3 sqrt /)] kvas=[1666 1666] xhl=1
+~ %rs=[0.005 0.005] taps=[1 1.0625]
+set voltagebases=[4.16 0.48]
+calcvoltagebases
+"""
+
+
+@pytest.mark.parametrize("connection", ["delta", *further("wye")])
+def test_lines_banks_and_regulators_by_parameters_have_the_matrices_of_opendss(tmp_path: Path, connection: str) -> None:
+    own = connection if connection == "delta" else "grounded wye"
+    path = write(tmp_path, PARAMETERS.replace("CONNECTION", own), "own.toml")
+    mine = load_network(path)
+    script = read_script(write(tmp_path, SAME.replace("CONNECTION", connection)))
+    answer = solve_circuit(script, path)
+    circuit = Circuit(answer, script)
+    for branch, name in zip(mine.branches, ("line.one", "transformer.t", "transformer.reg"), strict=True):
+        element = next(element for element in answer["elements"] if element["name"] == name)
+        _, Y = circuit.fold(element)
+        theirs = Y * circuit.base_mva / 5.0
+        assert branch.primitive.y == pytest.approx(theirs, rel=1e-8, abs=1e-8 * abs(theirs).max())
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        ("new transformer.three windings=3 buses=[632 633 7] kvs=[4.16 4.16 0.48]", "transformer.three: joins 3 buses"),
+        *further(
+            (
+                "new line.four phases=2 bus1=632.1.0 bus2=8.1.4\nnew load.q bus1=8.1.4 phases=1 kv=2.4 kw=1",
+                "line.four: node 8.4: a neutral is no node",
+            ),
+            ("new load.n bus1=632.1.4 phases=1 kv=2.4 kw=1", "load.n: node 632.4: a neutral is no node"),
+            ("new vsource.two bus1=632 basekv=4.16", "one vsource feeds a network"),
+            ("open capacitor.whole 1 2", "capacitor.whole: some of its conductors are open"),
+            ("new load.x bus1=632 model=11", "toy.dss line 47: OpenDSS refuses it"),
+            ("new line.x bus1=632 bus2=9 linecode=none", "toy.dss line 47: OpenDSS refuses it"),
+        ),
+    ],
+)
+def test_what_no_network_can_hold_is_refused_by_name(tmp_path: Path, case: tuple[str, str]) -> None:
+    statements, problem = case
+    text = TOY.replace("set loadmult", statements + "\nset loadmult")
+    with pytest.raises(InvalidInputError) as error:
+        import_grid(write(tmp_path, text))
+    assert any(found.startswith(problem) for found in error.value.problems), error.value.problems
+
+
+def test_opendss_that_takes_too_long_is_stopped(tmp_path: Path) -> None:
+    path = write(tmp_path, TOY)
+    with pytest.raises(InvalidInputError, match=r"has not solved it within 0\.01 s"):
+        solve_circuit(read_script(path), path, longest_s=0.01)
+
+
+def test_even_a_statement_that_no_check_stops_writes_nothing(tmp_path: Path) -> None:
+    commands = [[line, "-"] for line in TOY.replace("\n~", "").splitlines()[1:] if line]
+    target = tmp_path / "written.csv"
+    commands.append([f"export voltages {target}", "-"])
+    module = [sys.executable, "-P", "-m", "scenarios.importers.opendss.engine"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    subprocess.run(
+        module, input=json.dumps({"commands": commands}), text=True, cwd=tmp_path, env=environment, capture_output=True
+    )
+    assert not target.exists() or target.stat().st_size == 0
+    assert sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file()) == 0
+
+
+def test_words_are_those_of_the_installed_opendss() -> None:
+    import opendssdirect as dss
+
+    vocabulary = load_vocabulary()
+    for number, words in (
+        (dss.Executive.NumCommands(), vocabulary.verbs),
+        (dss.Executive.NumOptions(), vocabulary.options),
+    ):
+        name = dss.Executive.Command if words is vocabulary.verbs else dss.Executive.Option
+        assert [name(k).lower() for k in range(1, number + 1)] == list(words.order)
+    dss.Text.Command("clear")
+    dss.Text.Command("new circuit.x")
+    dss.Text.Command("new transformer.t")
+    dss.Text.Command("new capacitor.c")
+    for name, words in vocabulary.classes.items():
+        given = {"regcontrol": " transformer=t", "capcontrol": " element=transformer.t capacitor=c"}.get(name, "")
+        given = " switchedobj=transformer.t" if name == "swtcontrol" else given
+        if name != "vsource":
+            dss.Text.Command(f"new {name}.zz{given}")
+        else:
+            dss.Circuit.SetActiveElement("vsource.source")
+        assert [word.lower() for word in dss.Element.AllPropertyNames()] == list(words.order), name
+    assert isinstance(vocabulary.verbs, Words)
+
+
+CASES = [
+    pytest.param("13Bus/IEEE13Nodeckt.dss", 1e-8, id="13"),
+    pytest.param("34Bus/ieee34Mod1.dss", 1e-8, id="34"),
+    pytest.param("37Bus/ieee37.dss", 1e-7, id="37"),
+    pytest.param("123Bus/IEEE123Master.dss", 1e-8, id="123"),
+    *(
+        pytest.param(f"4Bus-{name}-Bal/4Bus-{name}-Bal.DSS", 1e-8, id=name.lower())
+        for name in ("DY", "YD", "GrdYD", "YY")
+    ),
+    pytest.param("4Bus-OYOD-UnBal/4bus-OYOD-UnBal.dss", 1e-8, id="oyod"),
+    pytest.param("LVTestCase/Master.dss", 1e-8, id="lv"),
+    pytest.param("8500-Node/Master-unbal.dss", 1e-8, id="8500"),
+]
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not FEEDERS.is_dir(), reason="OPENDSS_FEEDERS names no checkout of dss-extensions/electricdss-tst")
+@pytest.mark.parametrize(("file", "bound"), CASES)
+def test_the_power_flow_of_a_test_feeder_is_that_of_opendss(file: str, bound: float) -> None:
+    _, to_ground, between = compare(FEEDERS / file, FEEDERS)
+    assert between < bound
+    assert to_ground < bound
+
+
+def test_hostile_circuits_leave_nothing(tmp_path: Path) -> None:
+    before = sorted(tmp_path.rglob("*"))
+    path = write(tmp_path, TOY + "export voltages written.csv\nnew generator.h bus1=632 usermodel=./any.so\n")
+    with pytest.raises(InvalidInputError) as error:
+        import_grid(path)
+    assert len(error.value.problems) == 2
+    assert sorted(tmp_path.rglob("*")) == [*before, path]
