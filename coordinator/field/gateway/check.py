@@ -82,8 +82,7 @@ def make_report(
     error: str,
 ) -> CheckReport:
     """The report. ``newest``: meter id -> reading. ``error``: the reason that the source cannot be read, else empty."""
-    has_phases = not content.scenario.network.table.nodes.is_balanced
-    reads = _find_reads(newest, None if has_phases else schedule)
+    reads = _find_reads(newest, schedule)
     suspects, unexplained = find_suspects(content.scenario.network, content.scenario.meters, reads)
     common = find_common_mistake(content.scenario.network, content.scenario.meters, reads) if reads else ""
     remarks = {
@@ -107,8 +106,6 @@ def make_report(
         wrong.append(f"{count} of {len(remarks)} meters: see the remarks")
     others = _find_unmapped(content)
     notes = [f"not in this map: {len(others)} meters of the scenario: {listed(others, MOST_NAMED)}"] if others else []
-    if has_phases:
-        notes.append("buses have phases: readings stand beside the schedule, and their signs and units are not judged")
     if schedule is None:
         notes.append("the scenario's loads have no power flow: nothing is compared with them")
     found = [f"wrong: {problem}" for problem in wrong] or ["nothing looks wrong"]

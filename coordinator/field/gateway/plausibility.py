@@ -10,15 +10,19 @@ import numpy as np
 
 from dsse_core.errors import PowerFlowDivergedError
 from dsse_core.exchange.gateway_mistakes import MISTAKES, THRESHOLD, GatewayTest
+from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.grid.network import Network
-from dsse_core.grid.partition import Area
+from dsse_core.grid.network import Branch, Network
+from dsse_core.grid.nodes import ROUNDING, list_phases, name_node
 from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import solve_power_flow
+from dsse_core.results.flows import build_branch_model
 
+Node = tuple[int, str]  # bus and phase, "" in a balanced network
 KIND = MeasurementKind
 POWERS = ((KIND.P_INJECTION, KIND.P_FLOW, "P"), (KIND.Q_INJECTION, KIND.Q_FLOW, "Q"))
-SHARE = 0.05  # of a balance's largest power: allowed error, for losses that differ from the schedule's
+SHARE = 0.05  # of a balance's largest power: allowed error
+LOSSES = 3.0  # further allowed error, in losses of the schedule: those of twice its currents
 SIGMAS = 5.0
 LIKE_SCHEDULE = 5.0  # largest ratio of a load to the schedule's, and of the schedule's to the load
 LIKE_THOUSAND = 3.0  # a unit mistake: a thousand times the schedule, within this factor
@@ -61,7 +65,7 @@ def find_schedule(network: Network, meters: Sequence[Meter]) -> dict[str, Schedu
     expected, _ = read_exactly(solve_power_flow(network), meters)
     idle_buses = tuple(replace(bus, p_load=0.0, q_load=0.0) for bus in network.buses)
     try:
-        idle, _ = read_exactly(solve_power_flow(replace(network, buses=idle_buses)), meters)
+        idle, _ = read_exactly(solve_power_flow(replace(network, buses=idle_buses, loads=())), meters)
         by_loads = expected - idle
         can_turn = (idle * by_loads < 0) & (abs(idle) > PUSHING * abs(by_loads))
     except PowerFlowDivergedError:
@@ -82,37 +86,65 @@ class Balance:
 
         The reading of meter ``changed`` counts ``factor`` times.
         """
-        missed, largest, variance = 0.0, 0.0, 0.0
+        missed, loss, largest, variance = 0.0, 0.0, 0.0, 0.0
         for meter, sign in self.terms:
             read = reads[meter]
             value = read.value * (factor if meter == changed else 1.0)
             missed += sign * (value - read.expected)  # under the schedule it holds with its losses and charging
+            loss += sign * read.expected
             largest = max(largest, abs(value))
             variance += read.sigma**2
-        return abs(missed) - SHARE * largest - SIGMAS * math.sqrt(variance)
+        return abs(missed) - SHARE * largest - LOSSES * abs(loss) - SIGMAS * math.sqrt(variance)
 
 
 def find_balances(network: Network, meters: Sequence[Meter], read: Iterable[str]) -> Iterator[Balance]:
-    """The balances of each bus and of the two ends of each branch, where all their meters are ``read``."""
+    """The balances of each node and of the two ends of each conductor, where all their meters are ``read``."""
     known = set(read)
-    virtual = {(meter.kind, meter.bus) for meter in meters if meter.source is Source.VIRTUAL}
+    virtual = {(meter.kind, meter.bus, meter.phases) for meter in meters if meter.source is Source.VIRTUAL}
     for injection, flow, letter in POWERS:
-        ends: dict[int, list[tuple[str, int] | None]] = {bus.id: [] for bus in network.buses}
-        for branch in network.branches:
-            if not branch.in_service:
-                continue
-            at = {bus: Meter(flow, bus, branch.id).id for bus in (branch.from_bus, branch.to_bus)}
-            here, there = at[branch.from_bus], at[branch.to_bus]
-            if here in known and there in known:
-                yield Balance(f"branch {branch.id} ({letter})", ((here, 1), (there, 1)))
-            for bus, other in ((branch.from_bus, there), (branch.to_bus, here)):
-                term = (at[bus], -1) if at[bus] in known else (other, 1) if other in known else None
-                ends[bus].append(term)
-        for bus, terms in ends.items():
-            own = Meter(injection, bus).id
-            if (own in known or (injection, bus) in virtual) and terms and None not in terms:
+        ends: dict[tuple[int, str], list[tuple[str, int] | None]] = {node: [] for node in network.nodes}
+        for here, there, branch in _list_conductors(network):
+            at = {node: Meter(flow, node[0], branch.id, phases=node[1]).id for node in (here, there) if node}
+            if here and there and at[here] in known and at[there] in known:
+                name = f"{branch.id}.{here[1]}" if here[1] else branch.id
+                yield Balance(f"branch {name} ({letter})", ((at[here], 1), (at[there], 1)))
+            for node, end in ((here, there), (there, here)):
+                other = at.get(end, "") if end else ""
+                if node:
+                    ends[node].append((at[node], -1) if at[node] in known else (other, 1) if other in known else None)
+        for (bus, phase), terms in ends.items():
+            own = Meter(injection, bus, phases=phase).id
+            if (own in known or (injection, bus, phase) in virtual) and terms and None not in terms:
                 flows = tuple(term for term in terms if term is not None)
-                yield Balance(f"bus {bus} ({letter})", ((own, 1), *flows) if own in known else flows)
+                yield Balance(f"bus {name_node(bus, phase)} ({letter})", ((own, 1), *flows) if own in known else flows)
+
+
+def _list_conductors(network: Network) -> Iterator[tuple[Node | None, Node | None, Branch]]:
+    """The nodes that each conductor in service joins, and its branch.
+
+    None for an end that it does not have, or at which the power of its phase is not that of the other end, as at a
+    transformer between wye and delta: such a conductor is listed once for each end.
+    """
+    model, nodes = build_branch_model(network), network.nodes
+    for k, f, t in zip(model.branch.tolist(), model.f.tolist(), model.t.tolist(), strict=True):
+        branch = network.branches[k]
+        if not branch.in_service:
+            continue
+        here, there = nodes[f] if f >= 0 else None, nodes[t] if t >= 0 else None
+        if here and there and not _keeps_phases(branch):
+            yield from ((here, None, branch), (None, there, branch))
+        else:
+            yield here, there, branch
+
+
+def _keeps_phases(branch: Branch) -> bool:
+    """True where the power of a phase at one end is that of the same phase at the other, but for losses."""
+    if branch.primitive is None or branch.primitive.is_straight:
+        return True
+    y, ends = abs(branch.primitive.y), (branch.primitive.from_phases, branch.primitive.to_phases)
+    here, there = (np.array(list_phases(phases)) for phases in ends)
+    across = y[: len(here), len(here) :]
+    return bool(across[here[:, None] != there].max(initial=0.0) <= ROUNDING * y.max())
 
 
 def find_suspects(
@@ -124,14 +156,15 @@ def find_suspects(
     """
     balances = list(find_balances(network, meters, reads))
     suspects, unexplained, corrected = _explain(balances, reads)
-    kinds = {meter.id: meter.kind for meter in meters}
+    kinds, is_balanced = {meter.id: meter.kind for meter in meters}, network.table.nodes.is_balanced
     largest: dict[MeasurementKind, float] = {}
     for meter, read in reads.items():
         largest[kinds[meter]] = max(largest.get(kinds[meter], 0.0), abs(read.expected))
     confirmed = _find_confirmed(balances, corrected)
     for meter, read in reads.items():
         if meter not in suspects:
-            words = _compare(kinds[meter], read, SIGNIFICANT * largest[kinds[meter]], meter in confirmed)
+            least = SIGNIFICANT * largest[kinds[meter]]
+            words = _compare(kinds[meter], read, least, meter in confirmed, is_balanced=is_balanced)
             suspects |= {meter: words} if words else {}
     return suspects, unexplained
 
@@ -143,8 +176,7 @@ def find_common_mistake(network: Network, meters: Sequence[Meter], reads: Mappin
     """
     if network.slack is None:
         return ""
-    reference = network.slack.bus, network.slack.va
-    grid = Area("grid", network, (), network.slack.bus, network.slack.vm, reference)
+    (grid,) = build_partition(network, {"grid": [bus.id for bus in network.buses]}).areas
     readings = [Measurement(m, reads[m.id].value, reads[m.id].sigma) for m in meters if m.id in reads]
     virtual = [Measurement(m, 0.0, 0.0) for m in meters if m.source is Source.VIRTUAL]
     found = GatewayTest(grid).weigh([*readings, *virtual], reads.keys(), None, {})
@@ -222,10 +254,10 @@ def _is_like(value: float, expected: float) -> bool:
     return expected != 0 and 1 / LIKE_SCHEDULE <= value / expected <= LIKE_SCHEDULE
 
 
-def _compare(kind: MeasurementKind, read: Read, least: float, is_confirmed: bool) -> str:
+def _compare(kind: MeasurementKind, read: Read, least: float, is_confirmed: bool, *, is_balanced: bool) -> str:
     """Likely mistake of a reading by comparison with the schedule, in words; empty if there is none."""
     if kind is KIND.VM:
-        return _compare_voltage(read.value)
+        return _compare_voltage(read.value if is_balanced else read.value / read.expected, is_balanced=is_balanced)
     if kind is KIND.VA:
         off = math.pi - (math.pi - (read.value - read.expected)) % (2 * math.pi)
         return f"unit deg or rad, or reference: {off:.3g} rad from the schedule" if abs(off) > MOST_ANGLE else ""
@@ -240,7 +272,8 @@ def _compare(kind: MeasurementKind, read: Read, least: float, is_confirmed: bool
     return ""
 
 
-def _compare_voltage(vm: float) -> str:
+def _compare_voltage(vm: float, *, is_balanced: bool) -> str:
+    """Likely mistake of a voltage of ``vm`` p.u.; with phases, to ground or between two, ``vm`` of the schedule's."""
     if vm == 0 or LOWEST_VM <= vm <= HIGHEST_VM:
         return ""  # a dead voltmeter reads 0, which is no mistake of the map
     known = {
@@ -248,5 +281,8 @@ def _compare_voltage(vm: float) -> str:
         1e3: "V in place of kV?",
         1e-3: "kV in place of V?",
     }
+    if not is_balanced:
+        known[math.sqrt(3)] = "line to line? then factor = 0.577"
     hint = next((words for times, words in known.items() if LOWEST_VM <= vm / times <= HIGHEST_VM), "")
-    return f"unit or base voltage: {vm:.3g} p.u." + (f"; {hint}" if hint else "")
+    unit = "p.u." if is_balanced else "times the schedule"
+    return f"unit or base voltage: {vm:.3g} {unit}" + (f"; {hint}" if hint else "")

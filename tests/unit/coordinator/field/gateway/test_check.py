@@ -86,13 +86,17 @@ def test_a_check_needs_no_bus(write_map, dsse, monkeypatch: pytest.MonkeyPatch) 
     assert dsse("gateway", write_map(READING.format("U1", "vm@1", 0.001)), "--check", "--seconds", 0.1)[0] == 1
 
 
-def test_readings_of_phases_stand_beside_the_schedule_and_are_not_judged(
+def test_readings_of_phases_are_judged_beside_the_schedule(
     write_map, edited_scenario: Callable[..., Path], tmp_path: Path, dsse
 ) -> None:
     edited_scenario("ieee13", LIVE)
     path = write_map(READING.format("U", "vm@671.b", 0.01), is_edited=True)
-    (tmp_path / "readings.csv").write_text(f"time,address,value\n{time.time()},U,0.5\n")
-    code, out, _ = dsse("gateway", path, "--check", "--seconds", 1)
-    assert "buses have phases: readings stand beside the schedule, and their signs and units are not judged" in out
-    assert "vm@671.b" in out
-    assert code == 0
+    for reading, code, remark in (
+        (1.05, 0, ""),
+        (1.82, 1, "unit or base voltage: 1.73 times the schedule; line to line"),
+    ):
+        (tmp_path / "readings.csv").write_text(f"time,address,value\n{time.time()},U,{reading}\n")
+        found, out, _ = dsse("gateway", path, "--check", "--seconds", 1)
+        assert "vm@671.b" in out
+        assert remark in out
+        assert found == code
