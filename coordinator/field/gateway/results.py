@@ -62,10 +62,10 @@ def make_result(areas: Mapping[str, Area], state: StateMessage) -> Result:
         buses, branches = make_area_flows(area, state)
     except InvalidInputError as error:
         return result | {"problem": "; ".join(error.problems)}
-    phase = ("phase",) if state.phases else ()
+    of_bus, of_branch = (("phase", "unbalance_percent"), ("phase", "neutral_a")) if state.phases else ((), ())
     of_buses, of_branches = (
-        (*BUS_COLUMNS, *phase, "injection_problem", *OF_NUMBERS),
-        (*BRANCH_COLUMNS, *phase, *OF_NUMBERS),
+        (*BUS_COLUMNS, *of_bus, "injection_problem", *OF_NUMBERS),
+        (*BRANCH_COLUMNS, *of_branch, *OF_NUMBERS),
     )
     return result | {
         "buses": [{key: row[key] for key in of_buses} for row in rows_as_json(buses)],

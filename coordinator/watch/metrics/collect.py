@@ -85,7 +85,7 @@ COUNTERS = {
     "exchanges": "Exchanges with the neighbours",
 }
 GRID = {
-    "numbers": "Buses, meters in use or branches in service of which the quantity could be known",
+    "numbers": "Buses, meters in use or branches in service, or phases of these, of which it could be known",
     "known": "Of these, those with a fresh number",
     "outside_limits": "Of these, those beyond the limits of operation",
     "lowest": "Smallest fresh number",
@@ -94,7 +94,7 @@ GRID = {
 POWERS = {
     "power_kw": "Sum of the known parts: injection of the substation, losses, loads, generation",
     "reactive_power_kvar": "The same of the reactive power",
-    "power_parts": "Branches in service, or buses",
+    "power_parts": "Branches in service, or buses; with phases each of theirs",
     "power_parts_known": "Of these, those with a fresh number",
 }
 GAUGES_BY_NEIGHBOUR = {
@@ -148,6 +148,7 @@ def _list_summary(summary: Summary) -> Iterator[Metric]:
         "normalised_residual": summary.residual,
         "loading_percent": summary.loading,
         "current_a": summary.current,
+        "unbalance_percent": summary.unbalance,
     }
     powers = {"head": summary.head, "loss": summary.loss, "load": summary.load, "generation": summary.generation}
     of_extent = {name: GaugeMetricFamily(f"dsse_grid_{name}", text, labels=["quantity"]) for name, text in GRID.items()}

@@ -180,4 +180,7 @@ def test_results_of_a_gateway_name_the_phase_of_each_row() -> None:
     result = make_result({area.name: area for area in PARTITION.areas}, state_of("area2"))
     network = PARTITION.area("area2").network
     assert [(row["bus"], row["phase"]) for row in result["buses"]] == list(network.nodes)
-    assert {row["phase"] for row in result["branches"] if row["branch"] == "632-670"} == {"a", "b", "c"}
+    neutral = {row["phase"]: row["neutral_a"] for row in result["branches"] if row["branch"] == "632-670"}
+    assert neutral == dict.fromkeys("abc", pytest.approx(215.7, abs=0.1))
+    unbalance = [row["unbalance_percent"] for row in result["buses"] if row["bus"] == 671]
+    assert unbalance == [pytest.approx(1.92, abs=0.01)] * 3
