@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { freshBranches, joinNodes, largestLoadings, lookOf, nodesOf, worstVoltages } from "./static/phases.js";
-import { describeTogether, tabulatePhases } from "./static/selected.js";
+import { describeTogether, pickPhases, tabulatePhases } from "./static/selected.js";
 
 const limits = { lowest_vm_pu: 0.9, highest_vm_pu: 1.1 };
 const grid = {
@@ -55,6 +55,11 @@ test("what is selected has a column for each phase, and sums of powers", () => {
   const facts = Object.fromEntries(describeTogether(rows));
   assert.equal(facts.phases, "a, c");
   assert.ok(!("unbalance (%)" in facts));
+});
+
+test("of the rows of two areas at a boundary one of each phase is shown, the fresh one", () => {
+  const rows = { phase: ["a", "c", "a", "b", "c"], area: ["x", "x", "y", "y", "y"], fresh: [false, true, true, true, true], vm_pu: [1, 2, 3, 4, 5] };
+  assert.deepEqual(pickPhases(rows), { phase: ["a", "b", "c"], area: ["y", "y", "x"], fresh: [true, true, true], vm_pu: [3, 4, 2] });
 });
 
 test("of a branch the most loaded phase and the neutral current are said, and the loss of all phases alone", () => {

@@ -72,6 +72,20 @@ function isByPhase({ phase = [], meter }) {
   return !meter && phase.some((each) => each !== ALL);
 }
 
+/**
+ * One row of each phase, a fresh one if there is one: without a scenario a boundary bus has rows of each area that sees it.
+ * @param {Columns} rows of all phases of a bus or branch @returns {Columns} phase after phase
+ */
+export function pickPhases(rows) {
+  /** @type {Map<unknown, number>} */ const place = new Map();
+  rows.phase.forEach((phase, k) => {
+    const known = place.get(phase);
+    if (known === undefined || (rows.fresh?.[k] && !rows.fresh[known])) place.set(phase, k);
+  });
+  const order = [...place].sort(([one], [other]) => String(one).localeCompare(String(other))).map(([, k]) => k);
+  return Object.fromEntries(Object.entries(rows).map(([name, column]) => [name, order.map((k) => column[k])]));
+}
+
 /** @param {Columns} rows @param {string} name @returns {number | null} the sum over all phases, null unless all are known */
 function sumOf(rows, name) {
   const values = rows[name] ?? [];
@@ -162,7 +176,7 @@ export class Selected {
   write(moment, grid) {
     const { choice, found } = this;
     /** @type {Fact[]} */ let facts = [];
-    const byPhase = found && isByPhase(found.rows) ? found.rows : null;
+    const byPhase = found && isByPhase(found.rows) ? pickPhases(found.rows) : null;
     if (choice?.kind === "area") facts = describeArea(moment, choice.id);
     else if (choice) {
       facts = [[choice.kind, choice.id], ...describePlace(grid, choice), ...(byPhase ? describeTogether(byPhase) : found?.total ? describeRow(found.rows) : [])];
