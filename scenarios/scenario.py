@@ -45,7 +45,7 @@ from scenarios.files.scenario_file import (
     TransportTable,
 )
 from scenarios.files.shipped_files import find_scenario, find_shipped
-from scenarios.generate.cutting import cut_at, cut_into
+from scenarios.generate.cutting import cut_at, cut_into, open_branches
 from scenarios.meters import (
     INJECTIONS,
     SigmaRule,
@@ -229,8 +229,8 @@ def _find_area_buses(file: ScenarioFile, network: Network | None) -> tuple[AreaB
     """Area -> its buses, as listed or as cut; None where there is no network to cut or no such cut."""
     try:
         match file.areas:
-            case CountTable(count=count):
-                return (None if network is None else cut_into(network, count)), []
+            case CountTable(count=count, ties=ties):
+                return (None if network is None else cut_into(open_branches(network, ties), count)), []
             case SwitchesTable(switches=switches):
                 return (None if network is None else cut_at(network, switches)), []
             case lists:
@@ -249,10 +249,26 @@ def _build_partition_of(
         for name, area in (file.areas.items() if isinstance(file.areas, dict) else ())
         if area.slack_bus is not None and area.slack_vm_pu is not None
     }
+    holders, problems = _find_holders(file)
     try:
-        return build_partition(network, area_buses, slacks), []
+        partition = build_partition(network, area_buses, slacks, holders)
     except InvalidInputError as error:
-        return None, [f"areas: {problem}" for problem in error.problems]
+        return None, [f"areas: {problem}" for problem in [*problems, *error.problems]]
+    return partition, [f"areas: {problem}" for problem in problems]
+
+
+def _find_holders(file: ScenarioFile) -> tuple[dict[str, str], list[str]]:
+    """Branch -> the area that is to hold it, empty for the owner of its from bus; and branches of several areas."""
+    match file.areas:
+        case CountTable(ties=ties):
+            return dict.fromkeys(ties, ""), []
+        case SwitchesTable():
+            return {}, []
+        case lists:
+            named = [(branch, name) for name, area in lists.items() for branch in area.holds]
+            count = Counter(branch for branch, _ in named)
+            twice = [f"branch {branch} is in holds {n} times; keep one" for branch, n in count.items() if n > 1]
+            return dict(named), twice
 
 
 def _build_whole(network: Network) -> tuple[Partition | None, list[str]]:
@@ -260,7 +276,8 @@ def _build_whole(network: Network) -> tuple[Partition | None, list[str]]:
     if (problems := network.find_supply_problems()) or network.slack is None:
         return None, problems
     slack = network.slack
-    return Partition(network, (Area("grid", network, (), slack.bus, slack.vm, (slack.bus, slack.va)),)), []
+    area = Area("grid", network, (), slack.bus, slack.vm, (slack.bus, slack.va))
+    return Partition(network, (area,), {"grid": network.table.bus_id.tolist()}), []
 
 
 def _load_readings_of(file: ScenarioFile, path: Path, network: Network) -> tuple[Sequence[Measurement], Sequence[str]]:

@@ -108,7 +108,7 @@ class AnyStrategy:
             problem = f"buses have phases, which strategy {strategy!r} cannot take: {cls.why_no_phases}"
             problems.append(f"{problem}; use 'information' or 'admm'")
         return problems + [
-            f"areas {' and '.join(sorted(pair))} share buses {', '.join(map(str, boundary.buses))}: a ring, which "
+            f"areas {' and '.join(sorted(pair))} share bus {', '.join(map(str, boundary.buses))}: a ring, which "
             f"strategy {strategy!r} cannot take; use 'information', or cut so that areas form a tree"
             for pair, boundary in met.items()
             if not (boundary.has_one_flow or cls.takes_rings)

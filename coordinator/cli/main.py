@@ -212,7 +212,7 @@ def check(scenario: str, changes: Mapping[str, object], as_json: bool) -> None:
 
     try:
         found = check_with_strategy(choose_scenario(scenario, changes=changes))
-        areas = {area.name: [bus.id for bus in area.network.buses] for area in found.partition.areas}
+        areas = found.partition.listed
         content = head_json(found) | {"meters": len(found.meters), "areas": areas}
         answer(as_json, content, format_check(found))
     except OtherKindError as error:

@@ -62,7 +62,7 @@ def partition(
         named = [name.strip() for text in switches for name in text.split(",") if name.strip()]
         changes = {"areas": {"switches": named}, "faults": {}}
     loaded = load_scenario(scenario, strategies=list_strategies(), changes=changes)
-    areas = {area.name: [bus.id for bus in area.network.buses] for area in loaded.partition.areas}
+    areas = loaded.partition.listed
     text = format_area_tables(loaded.partition) if toml else format_areas(loaded)
     answer(as_json, {"network": loaded.network.name, "areas": areas, "picture": out}, text)
     if out is not None:

@@ -38,27 +38,33 @@ def build_partition(
     network: Network,
     area_buses: Mapping[str, Sequence[int]],
     local_slack: Mapping[str, tuple[int, float]] | None = None,
+    holders: Mapping[str, str] | None = None,
 ) -> Partition:
     """Divides ``network`` into the named areas; ``area_buses`` lists the buses of each, boundary buses in several.
+
+    A branch belongs to the area that lists both of its buses. Else ``holders`` (branch id -> area) names the area, or
+    leaves it empty: then, and without an entry for a closed branch, the owner of its from bus holds the branch. The
+    holder sees both buses. An open branch between areas is in no area unless it has an entry.
 
     The local slack of an area is the substation or the first voltage-holding generator in it, else the
     boundary bus towards the substation; ``local_slack`` (area -> bus, vm in p.u.) overrides it.
 
     Raises:
-        InvalidInputError: listing every bus or branch in no area, area in pieces, unknown name, and neighbours that
-            would exchange too many variables.
+        InvalidInputError: listing every bus in no area, branch in several, area in pieces, unknown name, and neighbours
+            that would exchange too many variables.
     """
     local_slack = local_slack or {}
     members = _find_members(network, area_buses)
     problems = _find_bus_problems(network, area_buses, members)
-    branches, branch_problems = _assign_branches(network, members)
+    walk = _walk_areas(network, members)
+    branches, branch_problems = _assign_branches(network, members, walk, holders or {})
     problems += branch_problems
     problems += _find_slack_problems(network, members, local_slack)
     if problems:
         raise InvalidInputError(f"areas of network {network.name!r}", problems)
 
     assert network.slack is not None  # checked by _find_bus_problems
-    edges = _grow_tree(network, members, branches)
+    edges = _grow_tree(network, members, branches, walk)
     generators = _split_by_owner(network, members, edges, network.generators)
     loads = _split_by_owner(network, members, edges, network.loads)
     areas = []
@@ -68,7 +74,9 @@ def build_partition(
         bus, vm = local_slack.get(name) or _default_slack(part, parent)
         reference = (network.slack.bus, network.slack.va) if network.slack.bus in part.row else None
         areas.append(Area(name, part, tuple(at.neighbours), bus, vm, reference))
-    return _with_schedule(Partition(network, tuple(areas)))
+    ids = network.table.bus_id
+    given = {name: tuple(ids[rows].tolist()) for name, rows in zip(members.names, members.rows, strict=True)}
+    return _with_schedule(Partition(network, tuple(areas), given))
 
 
 @dataclass(frozen=True)
@@ -129,7 +137,7 @@ def _with_schedule(partition: Partition) -> Partition:
             of_nodes = own.bus_id[own.nodes.item].tolist(), vm[nodes].tolist(), va[nodes].tolist()
             no_load = tuple(zip(*of_nodes, strict=True))
         areas.append(replace(scheduled, no_load=no_load))
-    return Partition(network, tuple(areas))
+    return replace(partition, areas=tuple(areas))
 
 
 def _is_apart(area: Area, unloaded: Mapping[int, tuple[float, float]]) -> bool:
@@ -184,41 +192,79 @@ def _find_bus_problems(network: Network, area_buses: Mapping[str, Sequence[int]]
     return problems + network.find_supply_problems()
 
 
-def _assign_branches(network: Network, members: _Members) -> tuple[list[np.ndarray], list[str]]:
-    """The branches in service of each area, by rows: those whose two ends it alone lists together; and all problems,
-    among them areas in pieces.
-    """
-    table, names, problems = network.table, members.names, []
+def _walk_areas(network: Network, members: _Members) -> MessageTree:
+    """The tree of a walk from the substation over shared buses; over branches between areas where it needs them."""
+    table, at_slack = network.table, members.find_areas(network.row[network.slack.bus]) if network.slack else []
+    first = at_slack[0] if at_slack else 0
+    groups = [areas for _, areas in sorted(members.areas_at.items(), key=lambda item: int(table.bus_id[item[0]]))]
+    if not members.names or len((walk := walk_areas(len(members.names), first, groups)).order) == len(members.names):
+        return walk if members.names else MessageTree((), ())
     near, far = members.only[table.f], members.only[table.t]
+    for k in np.flatnonzero((near != far) | (near < 0)).tolist():
+        here, there = (members.find_areas(int(rows[k])) for rows in (table.f, table.t))
+        if not {*here} & {*there}:
+            groups.append([*here, *there])
+    return walk_areas(len(members.names), first, groups)
+
+
+def _assign_branches(
+    network: Network, members: _Members, walk: MessageTree, holders: Mapping[str, str]
+) -> tuple[list[np.ndarray], list[str]]:
+    """The branches of each area, by rows; and all problems, among them areas in pieces."""
+    table, names = network.table, members.names
+    wrong = _find_wrong_holders(network, members, holders)
+    problems, holders = [*wrong.values()], {b: holder for b, holder in holders.items() if b not in wrong}
+    ends = table.end_rows
+    near, far = members.only[ends[0]], members.only[ends[1]]
     inside = (near >= 0) & (near == far)
+    if holders:
+        inside &= ~np.isin(network.branch_ids, list(holders))
     pairs = [(near[inside], np.flatnonzero(inside))]
-    for k in np.flatnonzero(~inside).tolist():  # at boundary buses, or in no area
-        there = members.find_areas(int(table.t[k]))
-        homes = [area for area in members.find_areas(int(table.f[k])) if area in there]
-        pairs.append((np.array(homes, dtype=np.int64), np.full(len(homes), k)))
-        branch = table.active[k]
-        called, ends = network.branch_ids[branch], f"{table.from_bus[branch]} and {table.to_bus[branch]}"
-        if not homes:
-            problems.append(
-                f"branch {called} is in no area: no area lists both of its buses {ends}; "
-                "add one of them to the other's area"
-            )
+    for row in np.flatnonzero(~inside).tolist():  # at boundary buses, or between areas
+        here, there = (members.find_areas(int(rows[row])) for rows in ends)
+        homes, called = [area for area in here if area in there], network.branch_ids[row]
+        if holder := holders.get(called):
+            homes = [names.index(holder)]
+        elif not homes and (table.in_service[row] or called in holders):
+            homes = [area for area in walk.order if area in here][:1]
+        elif len(homes) > 1 and not table.in_service[row]:
+            homes = [area for area in walk.order if area in homes][:1]
         elif len(homes) > 1:
             problems.append(
                 f"areas {', '.join(names[area] for area in homes)} all list both ends of branch {called}; leave bus "
-                f"{table.from_bus[branch]} or {table.to_bus[branch]} out of all but one of them"
+                f"{table.from_bus[row]} or {table.to_bus[row]} out of all but one of them"
             )
-    area, place = (np.concatenate(part) for part in zip(*pairs, strict=True))
-    order = np.argsort(place, kind="stable")
-    area, place = area[order], place[order]
-    problems += _find_pieces(network, members, area, place)
-    return [table.active[place[at]] for at in split_by(area, len(names))], problems
+        pairs.append((np.array(homes, dtype=np.int64), np.full(len(homes), row)))
+    holder_of, rows_held = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    order = np.argsort(rows_held, kind="stable")
+    holder_of, rows_held = holder_of[order], rows_held[order]
+    problems += _find_pieces(network, members, holder_of, rows_held)
+    return [rows_held[at] for at in split_by(holder_of, len(names))], problems
 
 
-def _find_pieces(network: Network, members: _Members, area: np.ndarray, place: np.ndarray) -> Iterator[str]:
-    """A problem for each area that its own branches do not connect, as text.
+def _find_wrong_holders(network: Network, members: _Members, holders: Mapping[str, str]) -> dict[str, str]:
+    """Branch -> the problem of its entry in ``holders``, for those that have one."""
+    found = {}
+    for branch, holder in holders.items():
+        if branch not in network.branch_by_id:
+            found[branch] = f"branch {branch} is to be held by an area, and is not in the network"
+        elif holder and holder not in members.names:
+            areas = listed(members.names)
+            found[branch] = f"branch {branch} is to be held by {holder}, which is not one of the areas {areas}"
+        elif holder:
+            ends = network.branch(branch).from_bus, network.branch(branch).to_bus
+            there = (members.find_areas(network.row[bus]) for bus in ends)
+            if members.names.index(holder) not in {area for areas in there for area in areas}:
+                found[branch] = (
+                    f"area {holder} lists neither bus of branch {branch}, {ends[0]} and {ends[1]}; give it one"
+                )
+    return found
 
-    Area ``area[k]`` holds the branch at ``place[k]`` among those in service.
+
+def _find_pieces(network: Network, members: _Members, area: np.ndarray, row: np.ndarray) -> Iterator[str]:
+    """A problem for each area that its own branches, open ones among them, do not connect, as text.
+
+    Area ``area[k]`` holds the branch of ``row[k]``.
     """
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
@@ -227,11 +273,14 @@ def _find_pieces(network: Network, members: _Members, area: np.ndarray, place: n
     if not members.rows:
         return
     key = np.concatenate([k * n + rows for k, rows in enumerate(members.rows)])  # of each bus of each area, rising
-    ends = [np.searchsorted(key, area * n + end[place]) for end in (table.f, table.t)]
-    graph = csr_array((np.ones(len(place), dtype=bool), tuple(ends)), shape=(len(key), len(key)))
+    wanted = [area * n + end[row] for end in table.end_rows]
+    at = [np.minimum(np.searchsorted(key, of_end), len(key) - 1) for of_end in wanted]
+    within = np.logical_and(*(key[places] == of_end for places, of_end in zip(at, wanted, strict=True)))
+    ends = tuple(places[within] for places in at)
+    graph = csr_array((np.ones(len(ends[0]), dtype=bool), ends), shape=(len(key), len(key)))
     pieces = np.split(connected_components(graph, directed=False)[1], np.cumsum([len(rows) for rows in members.rows]))
-    for name, rows, piece in zip(members.names, members.rows, pieces, strict=False):
-        if len(rows) == 1 and n > 1:
+    for k, (name, rows, piece) in enumerate(zip(members.names, members.rows, pieces, strict=False)):
+        if len(rows) == 1 and n > 1 and not (area == k).any():
             yield f"area {name} has a single bus and no branch; add the bus to a neighbouring area instead"
         elif len(rows) and (piece != piece[0]).any():
             found: dict[int, list[int]] = {}
@@ -252,22 +301,19 @@ class _Edges:
     foreign: dict[int, int] = field(default_factory=dict)
 
 
-def _grow_tree(network: Network, members: _Members, branches: Sequence[np.ndarray]) -> list[_Edges]:
-    """The edges of each area.
+def _grow_tree(network: Network, members: _Members, branches: Sequence[np.ndarray], walk: MessageTree) -> list[_Edges]:
+    """The edges of each area; ``walk``: over all areas, from the substation.
 
     Of the areas that list a bus, that of the shortest way to the substation is the owner.
 
     Raises:
         InvalidInputError: an edge carries more than MOST_CARRIED variables.
     """
-    assert network.slack is not None  # checked by _find_bus_problems
-    ids, names = network.table.bus_id, members.names
-    meeting = dict(sorted((int(ids[row]), areas) for row, areas in members.areas_at.items()))
-    walk = walk_areas(len(names), members.find_areas(network.row[network.slack.bus])[0], list(meeting.values()))
-    rank = {area: k for k, area in enumerate(walk.order)}
+    names, rank = members.names, {area: k for k, area in enumerate(walk.order)}
     shared = []
-    for bus, areas in meeting.items():
-        owner, *others = sorted(areas, key=rank.__getitem__)
+    for bus, (listing, seeing) in sorted(_find_seen(network, members, branches).items()):
+        owner, *others = sorted(listing, key=rank.__getitem__)
+        others += sorted(seeing - {*listing}, key=rank.__getitem__)
         shared.append(SharedBus(bus, owner, {k: _phases_of(network, branches[k], bus) for k in others}))
     tree = choose_tree(walk, shared)
     carried = find_carried(tree, shared)
@@ -290,6 +336,19 @@ def _grow_tree(network: Network, members: _Members, branches: Sequence[np.ndarra
                 if owners[bus] != one:
                     found[one].foreign[bus] = found[one].foreign.get(bus, 0) | phases
     return found
+
+
+def _find_seen(
+    network: Network, members: _Members, branches: Sequence[np.ndarray]
+) -> dict[int, tuple[Sequence[int], set[int]]]:
+    """Bus that several areas see -> the places of those that list it, and of those that hold a branch there."""
+    table = network.table
+    seeing = {row: {*areas} for row, areas in members.areas_at.items()}
+    for area, held in enumerate(branches):
+        ends = np.concatenate([end[held] for end in table.end_rows])
+        for row in np.setdiff1d(ends, members.rows[area]).tolist():
+            seeing.setdefault(row, set(members.find_areas(row))).add(area)
+    return {int(table.bus_id[row]): (members.find_areas(row), areas) for row, areas in seeing.items()}
 
 
 def _find_meeting_buses(tree: MessageTree, shared: Sequence[SharedBus]) -> dict[int, int]:

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import functools
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 from dsse_core.grid.nodes import name_node, write_phases
 
-MOST_WORK = 200_000  # areas of all trees that are compared
+MOST_WORK = 60_000  # areas of all trees that are compared
 MOST_CARRIED = 64  # variables of an edge: 2,144 numbers in a message
 
 
@@ -75,18 +75,23 @@ class MessageTree:
 
     def swap(self, without: int, ends: tuple[int, int]) -> MessageTree:
         """The tree with an edge between the areas ``ends`` in place of the one above area ``without``."""
-        beside: list[list[int]] = [[] for _ in self.above]
-        for area in self.order[1:]:
-            one, other = ends if area == without else (area, self.above[area])
-            beside[one].append(other)
-            beside[other].append(one)
-        above, order = [-1] * len(beside), [self.order[0]]
-        for area in order:  # the order grows
-            for other in beside[area]:
-                if other != above[area]:
-                    above[other] = area
-                    order.append(other)
-        return MessageTree(tuple(above), tuple(order))
+        edges = (ends if area == without else (area, self.above[area]) for area in self.order[1:])
+        return _join_edges(len(self.above), edges, self.order[0])
+
+
+def _join_edges(n_areas: int, edges: Iterable[tuple[int, int]], first: int) -> MessageTree:
+    """The tree of ``edges``, seen from the ``first`` area."""
+    beside: list[list[int]] = [[] for _ in range(n_areas)]
+    for one, other in edges:
+        beside[one].append(other)
+        beside[other].append(one)
+    above, order = [-1] * n_areas, [first]
+    for area in order:  # the order grows
+        for other in beside[area]:
+            if other != above[area]:
+                above[other] = area
+                order.append(other)
+    return MessageTree(tuple(above), tuple(order))
 
 
 @dataclass(frozen=True)
@@ -149,26 +154,45 @@ def walk_areas(n_areas: int, first: int, groups: Sequence[Sequence[int]]) -> Mes
 
 
 def choose_tree(tree: MessageTree, shared: Sequence[SharedBus]) -> MessageTree:
-    """The tree of least sum d^2 that is found from ``tree``; of equal ones that of the shortest way across.
+    """The tree of least sum d^2 that is found; of equal ones that of the shortest way across.
 
-    Where areas form no ring ``tree`` is the best one. Else edges are swapped one by one, between areas that meet, as
-    long as the sum falls.
+    Where areas form no ring, ``tree`` is the best one. Else edges between areas that meet are swapped one by one, as
+    long as the sum falls: in ``tree``, and in the walks from each area of a ring.
     """
     if sum(len(at.others) for at in shared) < len(tree.order):
         return tree
-    pairs = {(min(a, b), max(a, b)): None for at in _find_core(shared) for a in at for b in at if a != b}
-    best, least, left, is_better = tree, _weigh(tree, shared), MOST_WORK, True
+    core, groups = _find_core(shared), [at.areas for at in shared]
+    pairs = {(min(a, b), max(a, b)): None for at in core for a in at for b in at if a != b}
+    best, least, left = tree, _weigh(tree, shared), MOST_WORK
+    for start in (None, *sorted({area for at in core for area in at})):
+        if left <= 0:
+            break
+        begun = tree
+        if start is not None:
+            walk = walk_areas(len(tree.above), start, groups)
+            begun = _join_edges(len(tree.above), [(k, walk.above[k]) for k in walk.order[1:]], tree.order[0])
+        found, weight, left = _improve(begun, shared, list(pairs), left)
+        if weight < least:
+            best, least = found, weight
+    return best
+
+
+def _improve(
+    tree: MessageTree, shared: Sequence[SharedBus], pairs: Sequence[tuple[int, int]], left: int
+) -> tuple[MessageTree, tuple[int, int], int]:
+    """A tree that no swap improves, its weight, and the work that is left."""
+    least, is_better = _weigh(tree, shared), True
     while is_better and left > 0:
         is_better = False
         for ends in pairs:
-            for edge in best.path(*ends):
-                if left <= 0 or {edge, best.above[edge]} == {*ends}:
+            for edge in tree.path(*ends):
+                if left <= 0 or {edge, tree.above[edge]} == {*ends}:
                     break
-                other, left = best.swap(edge, ends), left - len(tree.order)
+                other, left = tree.swap(edge, ends), left - len(tree.order)
                 if (weight := _weigh(other, shared)) < least:
-                    best, least, is_better = other, weight, True
+                    tree, least, is_better = other, weight, True
                     break
-    return best
+    return tree, least, left
 
 
 def _weigh(tree: MessageTree, shared: Sequence[SharedBus]) -> tuple[int, int]:

@@ -10,8 +10,8 @@ where it has no branch.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -225,6 +225,9 @@ class Partition:
 
     network: Network
     areas: tuple[Area, ...]
+    listed: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    """Area -> the buses that divided the network; an area sees others, too, by branches that it holds, or relays them.
+    """
 
     def __repr__(self) -> str:
         names = listed([area.name for area in self.areas], MOST_SHOWN)
@@ -282,7 +285,7 @@ class Partition:
 
     @cached_property
     def holder(self) -> np.ndarray:
-        """The place in ``areas`` of the area that holds each branch, shape (n_all_branches,); -1 for open branches."""
+        """The place in ``areas`` of the holder of each branch, (n_all_branches,); -1 of an open one in no area."""
         holder = np.full(len(self.network.table.in_service), -1)
         for k, area in enumerate(self.areas):
             holder[self.rows_of_branches[area.name]] = k

@@ -110,6 +110,8 @@ class AreaTable(Table):
     """
     slack_vm_pu: Positive | None = None
     """Voltage held there, p.u.; goes together with `slack_bus`."""
+    holds: list[str] = Field(default_factory=list)
+    """Ids of branches, open ones too, that the area holds although it lists one of their buses only."""
 
     @model_validator(mode="after")
     def _slack_is_complete(self) -> Self:
@@ -123,6 +125,8 @@ class CountTable(Table):
 
     count: int = Field(ge=1, description="how many areas, cut so that their sizes are balanced")
     """Number of areas; at most as many as there are branches in no loop and groups of loops that share branches."""
+    ties: list[str] = Field(default_factory=list)
+    """Ids of branches that count as open where areas are cut. The owner of its from bus holds a tie, open or closed."""
 
 
 class SwitchesTable(Table):

@@ -12,7 +12,7 @@ from __future__ import annotations
 import heapq
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.wording import Suggestions
@@ -44,6 +44,23 @@ def cut_into(network: Network, count: int) -> dict[str, list[int]]:
             )
         raise InvalidInputError(f"areas of network {network.name!r}", [problem])
     return _name_areas(network, _balance(blocks, count))
+
+
+def open_branches(network: Network, ties: Sequence[str]) -> Network:
+    """``network`` with the branches ``ties`` out of service.
+
+    Raises:
+        InvalidInputError: listing every id that is unknown.
+    """
+    if unknown := [branch for branch in ties if branch not in network.branch_by_id]:
+        problems = [f"ties: there is no branch {branch}" for branch in unknown]
+        raise InvalidInputError(f"areas of network {network.name!r}", problems)
+    if not ties:
+        return network
+    opened = set(ties)
+    return replace(
+        network, branches=tuple(replace(b, in_service=False) if b.id in opened else b for b in network.branches)
+    )
 
 
 def cut_at(network: Network, switches: Sequence[str]) -> dict[str, list[int]]:

@@ -8,6 +8,7 @@ from coordinator.watch.tables.text_table import format_table
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.partition import Partition
 from dsse_core.printable import printable
+from scenarios.files.saved_network import format_toml
 from scenarios.scenario import Scenario
 
 MAX_NAMED = 5
@@ -18,7 +19,7 @@ def format_areas(scenario: Scenario) -> str:
     partition = scenario.partition
     owned = _count_owned(partition)
     meters = partition.split_meters(scenario.meters)
-    header = ("area", "buses", "owned", "boundary buses", "parent", "children", "meters")
+    header = ("area", "buses", "owned", "boundary buses", "parent", "variables", "children", "meters")
     rows = [
         (
             area.name,
@@ -26,6 +27,7 @@ def format_areas(scenario: Scenario) -> str:
             str(owned[area.name]),
             _name_some(area.boundary_buses),
             area.parent.area if area.parent else "-",
+            str(area.boundaries[area.parent.area].d) if area.parent else "-",
             _name_some([n.area for n in area.neighbours if not n.is_parent]),
             str(len(meters[area.name])),
         )
@@ -55,17 +57,27 @@ def _summarise(partition: Partition, owned: dict[str, int]) -> list[str]:
 
 def format_area_tables(partition: Partition) -> str:
     """``[areas.NAME]`` tables that make the same areas, to paste into a scenario file."""
-    buses = {
-        area.name: [bus.id for bus in area.network.buses if bus.id not in area.relayed] for area in partition.areas
-    }
-    plain = build_partition(partition.network, buses)
+    holders = _find_holders(partition)
+    plain = build_partition(partition.network, partition.listed, holders=holders)
     tables = []
     for area in partition.areas:
-        lines = [f"[areas.{area.name}]", f"buses = {buses[area.name]}"]
+        lines = [f"[areas.{area.name}]", f"buses = {[*partition.listed[area.name]]}"]
+        if held := [branch for branch, name in holders.items() if name == area.name]:
+            lines += [f"holds = {format_toml(held)}"]
         if area.slack_vm is not None and area != plain.area(area.name):
             lines += [f"slack_bus = {area.slack_bus}", f"slack_vm_pu = {area.slack_vm}"]
         tables.append("\n".join(lines))
     return "\n\n".join(tables)
+
+
+def _find_holders(partition: Partition) -> dict[str, str]:
+    """Branch between areas -> the area that holds it."""
+    return {
+        branch.id: area.name
+        for area in partition.areas
+        for branch in area.network.branches
+        if not {branch.from_bus, branch.to_bus} <= set(partition.listed[area.name])
+    }
 
 
 def _count_owned(partition: Partition) -> dict[str, int]:

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from agents.area_files.area_file import save_area_file
+from agents.area_files.reader import load_area_file
 from agents.messages.packing import Incarnation, UpMessage
 from agents.protocol.choose import make_protocol
 from coordinator.lab.strategy_check import check_with_strategy
@@ -12,10 +14,19 @@ from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObse
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.link_faults import LinkFaults
 from scenarios.telemetry import make_telemetry
-from tests.support.exact_exchange import assert_equals_centralised, assert_same_decisions, run_feeder, settle_bus
+from tests.support import areas_with_phases
+from tests.support.areas_with_phases import find_qualities
+from tests.support.exact_exchange import (
+    assert_equals_centralised,
+    assert_same_decisions,
+    run_feeder,
+    settle,
+    settle_bus,
+)
 from tests.support.feeders import Feeder
 from tests.support.grids import with_gross_errors
-from tests.support.rings import make_ring_feeder, ring33
+from tests.support.levels import further
+from tests.support.rings import TIES, make_ring_feeder, ring33, tied13, tied33
 from tests.support.simulated_bus import SimulatedBus, area_files_of, with_links
 
 GAP = 1e-9  # p.u. and rad
@@ -53,6 +64,41 @@ def test_two_feeders_joined_at_two_buses_end_at_the_centralised_estimate(loss):
     assert_same_decisions(bus, report)
     names = {message.variables for *_, message in bus.delivered if isinstance(message, UpMessage)}
     assert names == {("s@6>lateral", "s@18>lateral", "v@6", "v@18")}
+
+
+ACROSS = ("7-8", "10-11", "12-13", "17-18", "28-29")  # a branch of each ring
+OTHERS = [(3, TIES, (), 0.3), (8, TIES, (), 0.3), (5, (), (), 0.0), (8, TIES[:2], (), 0.0), (8, TIES, ACROSS, 0.0)]
+
+
+@pytest.mark.parametrize("case", [(5, TIES, (), 0.3), (5, TIES, ACROSS, 0.3), *further(*OTHERS)])
+def test_ties_that_are_carried_open_or_closed_leave_all_variables_where_they_are(case):
+    """Five rings through all areas, or none; with a branch of each ring opened, sections are fed from another side."""
+    n_area, closed, opened, loss = case
+    scenario = tied33(n_area, closed, opened)
+    carried = {area.name: area.boundaries for area in scenario.partition.areas}
+    assert carried == {area.name: area.boundaries for area in tied33(n_area, ()).partition.areas}
+    bus, report = settle(scenario, loss)
+    bus.run(2.0)
+    assert {state.quality for state in bus.states.values()} == {"good"}
+    assert find_gap(bus, report) < GAP
+    assert_equals_centralised(bus, report)
+    assert_same_decisions(bus, report)
+
+
+@pytest.mark.parametrize("closed", [("645-611", "633-680"), *further((), ("645-611",), ("633-680",))])
+def test_phases_of_ties_are_carried_each_by_itself(closed, tmp_path):
+    """Area 2 relays phase c of bus 611 between areas 1 and 3."""
+    scenario = tied13(closed)
+    area2 = scenario.partition.area("area2")
+    assert area2.boundaries["area3"].names == ("s@611.c>area1", "s@671.ac>area3", "v@611.c", "v@671.ac")
+    assert (area2.relayed, area2.network.bus(611).phases) == ({611}, "c")
+    for content in area_files_of(scenario):
+        save_area_file(path := tmp_path / "area.json", content)
+        assert load_area_file(path) == content
+    bus, report = settle(scenario)
+    assert find_qualities(bus) == dict.fromkeys(bus.files, "good")
+    assert areas_with_phases.find_gap(bus, scenario.network, report) < GAP
+    assert_same_decisions(bus, report)
 
 
 def draw_ring(random_seed: int, **changes) -> Feeder:
@@ -157,7 +203,7 @@ def test_an_area_that_has_never_heard_of_its_parent_in_a_ring_does_not_take_powe
 @pytest.mark.parametrize("strategy", ["admm", "angle-offset"])
 def test_a_strategy_that_knows_one_bus_a_boundary_refuses_a_ring(strategy):
     scenario = replace(ring33(), strategy=strategy)
-    expected = f"areas lateral and main share buses 6, 18: a ring, which strategy '{strategy}' cannot take"
+    expected = f"areas lateral and main share bus 6, 18: a ring, which strategy '{strategy}' cannot take"
     with pytest.raises(InvalidInputError, match=expected):
         check_with_strategy(scenario)
     for content in area_files_of(scenario, strategy=strategy):

@@ -19,6 +19,8 @@ from dsse_core.grid.division import build_partition
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
+from tests.support.rings import tied33
+from tests.support.simulated_bus import area_files_of
 
 
 @pytest.fixture
@@ -174,6 +176,17 @@ def test_an_area_that_meets_its_parent_at_several_buses_is_read_back(tmp_path: P
     assert [bus for bus, _, _ in content.area.no_load] == [2, 3]
     save_area_file(path, content)
     assert load_area_file(path) == content
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".json"])
+def test_an_area_with_an_open_tie_and_buses_that_it_relays_is_read_back(tmp_path: Path, suffix: str):
+    scenario = tied33(5, closed=())
+    for content in area_files_of(scenario):
+        save_area_file(path := tmp_path / f"area{suffix}", content)
+        assert load_area_file(path) == content
+    area3 = scenario.partition.area("area3")
+    assert area3.relayed == {2, 22, 29, 33}
+    assert "9-15" in area3.network.branch_ids
 
 
 @pytest.mark.parametrize(

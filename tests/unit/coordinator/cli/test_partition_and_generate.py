@@ -10,6 +10,7 @@ import pytest
 from coordinator.show.report.area_table import format_area_tables
 from dsse_core.grid.division import build_partition
 from scenarios.scenario import load_scenario
+from tests.support.rings import tied33
 
 PNG = b"\x89PNG"
 
@@ -19,9 +20,9 @@ def test_the_areas_of_a_scenario_are_printed_with_a_summary(dsse) -> None:
     lines = [" ".join(line.split()) for line in out.splitlines()]
     assert code == 0
     assert lines[:3] == [
-        "area buses owned boundary buses parent children meters",
-        "area1 13 13 6 - area2, area3 52",
-        "area2 13 12 6 area1 - 49",
+        "area buses owned boundary buses parent variables children meters",
+        "area1 13 13 6 - - area2, area3 52",
+        "area2 13 12 6 area1 4 - 49",
     ]
     assert "the largest, area1, owns 13, the smallest, area3, 8; the mean is 11.0" in out
     assert "longest path of the tree: 3 areas" in out
@@ -53,6 +54,20 @@ def test_pasted_bus_lists_make_the_same_areas(scenario: str) -> None:
     tables = tomllib.loads(format_area_tables(partition))["areas"]
     slacks = {name: (t["slack_bus"], t["slack_vm_pu"]) for name, t in tables.items() if "slack_bus" in t}
     again = build_partition(partition.network, {name: table["buses"] for name, table in tables.items()}, slacks)
+    assert again.areas == partition.areas
+
+
+def test_pasted_bus_lists_of_a_grid_with_ties_name_the_areas_that_hold_them() -> None:
+    partition = tied33(5).partition
+    tables = tomllib.loads(format_area_tables(partition))["areas"]
+    assert {name: table["holds"] for name, table in tables.items() if "holds" in table} == {
+        **{"area1": ["21-8"], "area2": ["25-29"], "area3": ["9-15"], "area5": ["12-22", "18-33"]}
+    }
+    buses, slacks = ({n: t[key] for n, t in tables.items() if key in t} for key in ("buses", "slack_bus"))
+    holders = {branch: name for name, table in tables.items() for branch in table.get("holds", ())}
+    again = build_partition(
+        partition.network, buses, {n: (bus, tables[n]["slack_vm_pu"]) for n, bus in slacks.items()}, holders
+    )
     assert again.areas == partition.areas
 
 

@@ -142,10 +142,41 @@ def test_all_slips_in_the_lists_of_buses_are_reported_at_once():
     assert "area a: slack_vm is -0.5" in text
 
 
-def test_a_branch_between_two_areas_is_reported_with_its_buses():
-    (problem,) = problems_of(row(4), {"a": [1, 2], "b": [3, 4]})
-    assert problem.startswith("branch 2-3 is in no area")
-    assert "2 and 3" in problem
+def test_a_branch_between_two_areas_is_held_by_the_owner_of_its_from_bus_or_by_the_area_that_is_named():
+    network, areas = row(4), {"a": [1, 2], "b": [3, 4]}
+    a, b = build_partition(network, areas).areas
+    assert (a.network.branch_ids, b.network.branch_ids) == (["1-2", "2-3"], ["3-4"])
+    assert (a.not_owned, b.not_owned) == ((3,), ())
+    (above,) = b.neighbours
+    assert above == Neighbour("a", 3, True, ("s@3>a", "v@3"))
+    assert a.network.bus(3).p_load == 0.0 < b.network.bus(3).p_load
+    a, b = build_partition(network, areas, holders={"2-3": "b"}).areas
+    assert (a.network.branch_ids, b.network.branch_ids) == (["1-2"], ["2-3", "3-4"])
+    assert b.neighbours == (Neighbour("a", 2, True),)
+
+
+def test_an_open_branch_is_in_the_area_of_both_its_buses_and_between_areas_in_the_one_that_holds_it():
+    network = grid((1, 2), (2, 3), (3, 4), (4, 5), (1, 3), (2, 5))
+    branches = (*network.branches[:4], *(replace(b, in_service=False) for b in network.branches[4:]))
+    network, areas = replace(network, branches=branches), {"a": [1, 2, 3], "b": [3, 4, 5]}
+    partition = build_partition(network, areas)
+    assert partition.area("a").network.branch_ids == ["1-2", "2-3", "1-3"]
+    assert partition.holder.tolist() == [0, 0, 1, 1, 0, -1]
+    tied = build_partition(network, areas, holders={"2-5": ""})
+    assert tied.holder.tolist() == [0, 0, 1, 1, 0, 0]
+    assert carried(tied) == {("b", "a"): ("s@3>b", "s@5>a", "v@3", "v@5")}
+    closed = replace(network, branches=tuple(replace(b, in_service=True) for b in branches))
+    assert carried(build_partition(closed, areas)) == carried(tied)
+    assert [a.find_no_load()[0].tolist() for a in tied.areas] == [[1.0] * 4, [1.0] * 3]
+
+
+def test_all_slips_in_the_holders_of_branches_are_reported_at_once():
+    holders = {"2-3": "nowhere", "3-4": "a", "7-8": "a"}
+    assert list(problems_of(row(4), {"a": [1, 2], "b": [3, 4]}, holders=holders)) == [
+        "branch 2-3 is to be held by nowhere, which is not one of the areas a, b",
+        "area a lists neither bus of branch 3-4, 3 and 4; give it one",
+        "branch 7-8 is to be held by an area, and is not in the network",
+    ]
 
 
 def test_an_area_in_pieces_is_reported_with_the_pieces():
