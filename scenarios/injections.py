@@ -9,6 +9,7 @@ import numpy as np
 
 from dsse_core.grid.loads import GROUND
 from dsse_core.grid.network import Network
+from dsse_core.grid.nodes import list_phases
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,20 @@ class Injections:
         """True where a meter at ``node`` can read the power between two nodes; None where no legs stand there."""
         at = (self.pairs[0] == min(node, other)) & (self.pairs[1] == max(node, other))
         return bool(self.is_alone[int(node > other), at].any()) if at.any() else None
+
+    def find_problem_of_leg(self, bus: int, phases: str) -> tuple[str, str]:
+        """The problem of a meter of the power between two ``phases`` that stand at ``bus``, and its cure, as text.
+
+        Empty where it can read that power.
+        """
+        one, two = list_phases(phases)
+        first, other = (self.network.node(bus, phase) for phase in (one, two))
+        if can_read := self.can_read(first, other):
+            return "", ""
+        if can_read is None:
+            return f"no load of bus {bus} stands between {one} and {two}", "name one phase"
+        cure = f"name the leg '{bus}.{two}{one}'" if self.can_read(other, first) else "meter each phase"
+        return f"other loads of bus {bus} draw at {one}, and a meter reads the current there", cure
 
     @cached_property
     def is_ungrounded(self) -> np.ndarray:

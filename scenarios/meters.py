@@ -246,15 +246,9 @@ class _Places:
         spot = self.buses.find_named([place])
         if not (spot.phases[1] >= 0).any():
             return ""
-        first, other = (int(self.network.table.nodes.find(spot.row, phase)[0]) for phase in spot.phases)
-        if can_read := self.injections.can_read(first, other):
-            return ""
-        bus, (one, two) = self.buses.read(place)[0], list_phases(self.buses.read(place)[1])
-        if can_read is None:
-            return f"{place!r}: no load of bus {bus} stands between {one} and {two}; name one phase"
-        turned = self.injections.can_read(other, first)
-        cure = f"name the leg {f'{bus}.{two}{one}'!r}" if turned else "meter each phase"
-        return f"{place!r}: other loads of bus {bus} draw at {one}, and a meter reads the current there; {cure}"
+        bus, phases = self.buses.read(place)
+        problem, cure = self.injections.find_problem_of_leg(int(bus), phases)
+        return f"{place!r}: {problem}; {cure}" if problem else ""
 
     def _find_zero_injection_problems(self) -> Iterator[str]:
         given, path = self.table.zero_injection, "measurements.zero_injection"

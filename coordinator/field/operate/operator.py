@@ -18,6 +18,7 @@ from coordinator.watch.observe.run_address import RunAddress
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.printable import listed
+from scenarios.files.readings.rows import parse_meter
 
 REPEAT_S = 0.2
 LINK_S = 3.0  # wait for areas that other areas send to and a router does not show; a direct link may take longer
@@ -98,9 +99,12 @@ class Operator:
         """Switches ``meters`` off in the areas that own them, and returns the owners: meter -> area.
 
         Raises:
-            InvalidInputError: an id belongs to no area. Meters that this call switched off are on again.
+            InvalidInputError: a text is no id of a meter, and no order was given; or an id belongs to no area, and the
+                meters that this call switched off are on again.
             NotFollowedError: an area does not follow in time.
         """
+        if problems := [problem for meter in meters if isinstance(problem := parse_meter(meter), str)]:
+            raise InvalidInputError(f"run {self.run}", problems)
         before = {area: self._off_in(area) for area in self.areas}
         self._give(
             {area: _Order(meters_off=meters) for area in self.areas}, until=lambda: set(meters) <= self._owners().keys()

@@ -18,8 +18,9 @@ from dsse_core.grid.columns import Records, find_distinct, rows_of_texts
 from dsse_core.grid.measurement import LONGEST_BUS, Measurement, MeasurementKind, Meter
 from dsse_core.grid.meter_table import KINDS, each_fits, make_meters, number_meters, read_pair
 from dsse_core.grid.network import Network
+from dsse_core.grid.nodes import list_phases
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
-from scenarios.files.readings.rows import ReadingRows
+from scenarios.files.readings.rows import ReadingRows, find_leg_problems
 from scenarios.files.readings.units import RANGES, UNITS, power_bases, sizes_of
 
 UNKNOWN = -1
@@ -191,6 +192,8 @@ def read_sound_columns(text: str, network: Network, *, takes_scans: bool = False
         return None
     scans = _read_scans(cells.filled[1 :: first + 2]) if checked.takes_many else [""] * len(of_rows)
     first_rows, column = find_distinct(number_meters(network, of_rows))
+    if _have_doubtful_pairs(checked, of_rows.take(first_rows)):
+        return None
     if scans is None or _have_doubles(scans if checked.takes_many else None, column):
         return None
     try:
@@ -201,6 +204,15 @@ def read_sound_columns(text: str, network: Network, *, takes_scans: bool = False
     if sizes is None or not _are_possible(of_rows, values * sizes, sigmas * sizes, network):
         return None
     return SoundReadings(of_rows.take(first_rows), column, values * sizes, sigmas * sizes, scans)
+
+
+def _have_doubtful_pairs(checked: ReadingRows, meters: Records[Meter]) -> bool:
+    """True where a distinct meter between two phases reads what another one reads, or no power that is there."""
+    if checked.network.table.nodes.is_balanced:
+        return False
+    between = [meter for meter in meters if len(list_phases(meter.phases)) == 2]
+    is_twice = len({meter.quantity for meter in between}) < len(between)
+    return is_twice or any(find_leg_problems(checked.injections, between))
 
 
 def _find_units(are_filled: np.ndarray) -> np.ndarray | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from dsse_core.files.wording import Suggestions, suggest
 from dsse_core.grid.measurement import (
@@ -16,8 +17,10 @@ from dsse_core.grid.measurement import (
     read_meter_id,
 )
 from dsse_core.grid.network import Network
+from dsse_core.grid.nodes import list_phases
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
 from scenarios.files.readings.units import RANGES, UNITS, size_of_range, unit_size
+from scenarios.injections import Injections
 
 KIND = MeasurementKind
 SCAN = "scan"
@@ -38,8 +41,12 @@ class ReadingRows:
     readings: list[Measurement] = field(default_factory=list)
     scans: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
-    line_of: dict[tuple[str, str], int] = field(default_factory=dict)
+    line_of: dict[tuple[object, ...], tuple[int, str]] = field(default_factory=dict)
     meant: Suggestions = field(default_factory=lambda: Suggestions(list(KIND)))
+
+    @cached_property
+    def injections(self) -> Injections:
+        return Injections(self.network)
 
     @property
     def takes_many(self) -> bool:
@@ -99,12 +106,12 @@ class ReadingRows:
         if isinstance(meter, str):
             yield meter
             return
-        problems = list(find_meter_problems(self.network, [meter]))
-        if (scan, meter.id) in self.line_of:
+        problems = list(find_meter_problems(self.network, [meter])) or list(find_leg_problems(self.injections, [meter]))
+        first_line, first_id = self.line_of.setdefault((scan, *meter.quantity), (line, meter.id))
+        if first_line != line:
             of_scan = f" of scan {scan!r:.80}" if scan else ""
-            first_line = self.line_of[scan, meter.id]
-            problems.append(f"meter {meter.id} has a reading{of_scan} in line {first_line} already; keep one")
-        self.line_of.setdefault((scan, meter.id), line)
+            called = "" if first_id == meter.id else f", as {first_id}"
+            problems.append(f"meter {meter.id} has a reading{of_scan} in line {first_line} already{called}; keep one")
         pairs = {unit: row[first + 2 * i : first + 2 * i + 2] for i, unit in enumerate(self.units)}
         filled = [unit for unit, pair in pairs.items() if any(cell.strip() for cell in pair)]
         if len(filled) != 1:
@@ -122,6 +129,15 @@ class ReadingRows:
             self.readings.append(Measurement(meter, value, sigma))
             self.scans.append(scan)
         yield from problems
+
+
+def find_leg_problems(injections: Injections, meters: Iterable[Meter]) -> Iterator[str]:
+    """Meters of the power between two phases, of the network's buses, that cannot read it, as text."""
+    for meter in meters:
+        if meter.kind.of_injection and len(list_phases(meter.phases)) == 2:
+            problem, cure = injections.find_problem_of_leg(meter.bus, meter.phases)
+            if problem:
+                yield f"meter {meter.id}: {problem}; {cure}"
 
 
 def parse_meter(text: str, meant: Suggestions | None = None) -> Meter | str:

@@ -120,13 +120,17 @@ def test_a_command_that_somebody_has_received_and_repeats_is_rejected_also_after
 
 
 def test_mistakes_of_the_operator_are_one_clear_error_each(system: System):
-    done = system.order("meter", "off", "no such meter")
+    done = system.order("meter", "off", "vm@1", "no such meter")
     assert done.returncode == 2
-    assert "no area has a meter 'no such meter'; ids are in the area files of areas area1, area2" in done.stderr
+    assert "'no such meter' is no meter id; one looks like vm@1" in done.stderr
+    assert system.watcher.states["area1"].command == (0, 0, 0), "an order was given beside a wrong id"
+    done = system.order("meter", "off", "vm@99")
+    assert done.returncode == 2
+    assert "no area has a meter 'vm@99'; ids are in the area files of areas area1, area2" in done.stderr
     done = system.order("meter", "on", "vm@1")
     assert done.returncode == 2
     assert "meter 'vm@1' is not off; none is" in done.stderr
-    done = system.order("meter", "off", "vm@1", "no such meter")
+    done = system.order("meter", "off", "vm@1", "vm@99")
     assert done.returncode == 2, "one of two meters is unknown"
     done = system.order("meter", "on", "vm@1")
     assert "meter 'vm@1' is not off; none is" in done.stderr, "a rejected command has switched a meter off"

@@ -111,6 +111,38 @@ def test_currents_of_loads_between_phases_sum_to_zero_and_a_load_that_can_be_tol
     ]
 
 
+def test_readings_between_two_phases_are_refused_where_they_are_others_or_no_load_stands(tmp_path: Path) -> None:
+    rows = ["vm@671.ab,1.0,0.01,,", "p_injection@646.bc,,,-230,10"]
+    wrong = {
+        "vm@671.ba,1.0,0.01,,": "meter vm@671.ba has a reading in line 2 already, as vm@671.ab; keep one",
+        "p_injection@671.ab,,,-385,10": "meter p_injection@671.ab: other loads of bus 671 draw at a, and a meter reads "
+        "the current there; meter each phase",
+        "p_injection@675.ab,,,-385,10": "meter p_injection@675.ab: no load of bus 675 stands between a and b; name one "
+        "phase",
+        "p_injection@646.cb,,,-230,10": "meter p_injection@646.cb has a reading in line 3 already, as "
+        "p_injection@646.bc; keep one",
+    }
+    path = tmp_path / "readings.csv"
+
+    def load(lines: list[str]) -> list[str]:
+        text = "\n".join(["meter,value_pu,sigma_pu,value_kw,sigma_kw", *lines])
+        path.write_text(text)
+        assert (read_sound_columns(text, IEEE13) is not None) == (lines == rows)
+        return [m.meter.id for m in load_readings(path, IEEE13)]
+
+    assert load(rows) == ["vm@671.ab", "p_injection@646.bc"]
+    with pytest.raises(InvalidInputError) as refused:
+        load([*rows, *wrong])
+    assert refused.value.problems == tuple(f"line {k}: {problem}" for k, problem in enumerate(wrong.values(), 4))
+    for row in wrong:
+        with pytest.raises(InvalidInputError, match="1 problem"):
+            load([*rows, row])
+    twice = [Meter(KIND.VM, 671, phases=phases) for phases in ("ab", "ba")]
+    assert list(find_meter_problems(IEEE13, twice)) == [
+        "meter vm@671.ba is given as .ab as well; keep one reading of each quantity"
+    ]
+
+
 def test_every_place_whose_phases_are_not_there_is_named_with_the_cure() -> None:
     keys = {
         "voltage": [99, "611.a", 671, "671.a", "671.total", "646.bcb"],
