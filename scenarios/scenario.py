@@ -202,6 +202,12 @@ def _find_problems_of_phases(file: ScenarioFile, network: Network) -> Iterator[s
             f"telemetry.source: 'area-power-flow' does not suit network {network.name!r}: its buses have phases, and "
             "an area knows the voltage of no single phase at its local slack; set source = 'network'"
         )
+    tables = file.areas if isinstance(file.areas, Mapping) else {}
+    if held := [name for name, table in tables.items() if table.slack_bus is not None]:
+        yield (
+            f"areas.{', '.join(held)}: slack_bus and slack_vm_pu are of power flows of areas, which do not suit "
+            f"network {network.name!r}, whose buses have phases; remove them"
+        )
     if file.faults.load_error:
         yield (
             f"faults.load_error: the buses of network {network.name!r} have phases, and areas solve no power flow with "

@@ -38,6 +38,11 @@ def list_phases(text: str) -> list[str]:
     return ([""] if not text else found) if "".join(found) == text else []
 
 
+def share_of_power(phases: str) -> float:
+    """The share of the power base that is 1 p.u. at all ``phases`` of a bus: a third at each, all of a balanced bus."""
+    return max(1, len(list_phases(phases))) / 3 if phases else 1.0
+
+
 def explain_phases(text: str) -> str:
     """The problem of a text that is no set of phases, and its cure."""
     neutral = (

@@ -13,6 +13,7 @@ import numpy as np
 
 from dsse_core.grid.loads import Load
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.grid.nodes import share_of_power
 from dsse_core.limits import LARGEST_BUS
 
 
@@ -49,11 +50,12 @@ def find_range_problems(network: Network) -> Iterator[str]:
     """A problem for each number of ``network`` that no grid has, with the bus or branch, the value and the range."""
     yield from find_base_problems(network.base_mva, {})
     for bus in network.buses:
-        yield from _of_bus(bus, network.base_mva)
+        yield from _of_bus(bus, network.base_mva * share_of_power(bus.phases))
     for branch in network.branches:
         yield from _of_branch(branch, network.base_mva)
+    phases = {bus.id: bus.phases for bus in network.buses}
     for generator in network.generators:
-        yield from _of_source(generator, network.base_mva)
+        yield from _of_source(generator, network.base_mva * share_of_power(phases[generator.bus]))
     for load in network.loads:
         yield from _of_load(load, network.node_mva)
 
@@ -89,6 +91,7 @@ def _of_branch(branch: Branch, base: float) -> Iterator[str]:
         for part in (np.real, np.imag):
             largest = max(part(branch.primitive.y).flat, key=abs, default=0.0)
             yield from PORT_ADMITTANCE.find_problem(f"{of}: admittance over its ports", float(largest))
+        base *= share_of_power(branch.primitive.from_phases)
     for rating in (branch.i_max, branch.s_max):
         if rating is not None:
             yield from RATING.find_problem(f"{of}: rating", rating * base)

@@ -12,7 +12,7 @@ import numpy as np
 
 from dsse_core.grid.columns import Records, Rows, read_ids
 from dsse_core.grid.network import Branch, Bus, Control, Generator
-from dsse_core.grid.nodes import Primitive, list_phases
+from dsse_core.grid.nodes import Primitive, share_of_power
 from dsse_core.grid.physical_ranges import (
     ADMITTANCE,
     ANGLE,
@@ -164,11 +164,6 @@ def _without_unknown(columns: dict[str, Any], keys: Sequence[str]) -> dict[str, 
     known = {key: columns[key] for key in keys if not np.isnan(columns[key]).all()}
     found = {key: [None if math.isnan(value) else value for value in column.tolist()] for key, column in known.items()}
     return {key: column for key, column in columns.items() if key not in keys} | found
-
-
-def share_of_power(phases: str) -> float:
-    """The share of the power base that is 1 p.u. at all ``phases`` of a bus: a third at each, all of a balanced bus."""
-    return max(1, len(list_phases(phases))) / 3 if phases else 1.0
 
 
 def default_branch_id(from_bus: int, to_bus: int, taken: Collection[str | None]) -> str:

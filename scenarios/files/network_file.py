@@ -12,9 +12,10 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.files.strict_table import load_strict
 from dsse_core.files.wording import suggest
 from dsse_core.grid.network import Control, Generator, Network
+from dsse_core.grid.nodes import share_of_power
 from dsse_core.grid.physical_ranges import find_base_problems, find_range_problems
 from dsse_core.printable import listed
-from scenarios.files.network_columns import BranchArrays, BusArrays, lie_within_ranges, share_of_power
+from scenarios.files.network_columns import BranchArrays, BusArrays, lie_within_ranges
 from scenarios.files.network_phases import PhaseParts, find_parts_with_phases, read_phase_parts
 from scenarios.files.network_tables import NetworkFile, SourceTable
 from scenarios.files.shipped_files import find_shipped

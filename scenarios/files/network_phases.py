@@ -9,7 +9,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dsse_core.grid.loads import Load
-from dsse_core.grid.nodes import PHASE_ANGLE, PHASES, Primitive, explain_phases, list_phases, read_phases
+from dsse_core.grid.nodes import (
+    PHASE_ANGLE,
+    PHASES,
+    Primitive,
+    explain_phases,
+    list_phases,
+    read_phases,
+    share_of_power,
+)
 from dsse_core.grid.physical_ranges import (
     ADMITTANCE,
     BASE_POWER,
@@ -31,7 +39,6 @@ from dsse_core.grid.primitives import (
     find_size,
 )
 from dsse_core.printable import listed
-from scenarios.files.network_columns import share_of_power
 from scenarios.files.network_tables import (
     IMPEDANCES,
     OF_PHASES,

@@ -13,10 +13,10 @@ from dsse_core.files.kinds import NETWORK_FILE
 from dsse_core.files.quantities import BRANCH_ID
 from dsse_core.grid.loads import Load
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
-from dsse_core.grid.nodes import Primitive
+from dsse_core.grid.nodes import Primitive, share_of_power
 from dsse_core.limits import LONGEST_NAME
 from dsse_core.results.units import base_current
-from scenarios.files.network_columns import default_branch_id, share_of_power
+from scenarios.files.network_columns import default_branch_id
 
 MOST_BUSES_IN_TOML = 5000  # larger networks become JSON, which is read much faster, and larger than TOML may be
 

@@ -139,7 +139,8 @@ def _draw(
     axis.set_ylabel(label)
     axis.margins(0.03, 0.06)
     axis.grid(alpha=0.3)
-    figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize="small")
+    columns = 5 if network.table.nodes.is_balanced else 3  # of lines, of true voltages, of estimates
+    figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=columns, fontsize="small")
     measured = "the smallest sum of the branches' |r + jx|"
     what = "bus" if network.table.nodes.is_balanced else "phase of every bus"
     caption = f"Every {what} against its distance from the substation, {measured}.{describe_ungrounded(network)}"

@@ -36,7 +36,7 @@ CENTRALISED: dict[str, Any] = {"color": BLUE, "marker": "x", "markersize": 6}
 DECENTRALISED: dict[str, Any] = {"color": VERMILLION, "marker": ".", "markersize": 6}
 COLOUR_OF_PHASE = {"": GREY, "a": ORANGE, "b": GREEN, "c": SKY, "s1": ORANGE, "s2": GREEN}
 MARK_OF_PHASE = {"a": "o", "b": "s", "c": "^", "s1": "D", "s2": "v"}
-DOT = 0.6  # size of these marks by that of a mark "." of which they take the place
+DOT = 0.6  # size of these marks by that of a mark "." or "_" of which they take the place
 WIDTH = 8.0  # inches
 DPI = 130
 PIXELS_PER_INCH = 118  # in a page, where there is room
@@ -115,7 +115,7 @@ def style_by_phase(
     for number in known:
         own: dict[str, Any] = {"label": label if known == [0] else f"{label}, several phases"}
         if phase := PHASES[number]:
-            size = style["markersize"] * (DOT if style["marker"] == "." else 1.0)
+            size = style["markersize"] * (DOT if style["marker"] in "._" else 1.0)
             own = {"label": f"{label}, phase {phase}", "marker": MARK_OF_PHASE[phase], "markersize": size}
             own["color"] = COLOUR_OF_PHASE[phase]
         yield np.flatnonzero(phases == number), style | own

@@ -108,9 +108,11 @@ def list_findings(result: RunOutcome) -> list[str]:
 def format_check(scenario: Scenario) -> str:
     """Summary of a checked scenario: its network, meters and areas."""
     partition = scenario.partition
+    network = scenario.network
+    nodes = "" if network.table.nodes.is_balanced else f" with {network.n_nodes} nodes"
     lines = [
         f"{scenario.name} is sound: {scenario.description}",
-        f"network {scenario.network.name}: {len(scenario.network.buses)} buses, "
+        f"network {network.name}: {len(network.buses)} buses{nodes}, "
         f"{len(scenario.network.table.active)} branches in service; {len(scenario.meters)} meters, "
         f"strategy {scenario.strategy}, seed {scenario.seed}",
     ]
@@ -136,11 +138,11 @@ def _describe_area(area: Area, meters: int) -> str:
     met = ", ".join(map(str, area.not_owned))
     where = "buses" if len(area.not_owned) > 1 else "bus"
     towards = f"beyond {area.parent.area} at {where} {met}" if area.parent else "with the substation"
+    described = f"{area.name}: {len(area.network.buses)} buses, {towards}, {meters} meters"
+    if not area.network.table.nodes.is_balanced:
+        return described  # without a power flow of its own
     slack = "voltage received from there" if area.slack_vm is None else f"{area.slack_vm:g} p.u."
-    return (
-        f"{area.name}: {len(area.network.buses)} buses, {towards}, {meters} meters, "
-        f"local slack bus {area.slack_bus} ({slack})"
-    )
+    return f"{described}, local slack bus {area.slack_bus} ({slack})"
 
 
 def _pu(value: float | None) -> str:

@@ -350,6 +350,9 @@ def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
             ('{ bus = 1, kind = "slack"', '{ bus = 3, kind = "slack"'),
             "source[1].bus: the substation holds phase a, c of bus 3 only, and the network has 1.b; give a bus with",
         ),
+        (("b_shunt_mvar = 0.2", "b_shunt_mvar = 3e6"), "bus 3: susceptance of the shunt is 3e+06 Mvar; it must"),
+        (("p_mw = 0.4", "p_mw = 2e6"), "source at bus 3: active power is 2e+06 MW; it must"),
+        (("rating_mva = 2.0", "rating_mva = 2e9"), "branch 2-3: rating is 2e+09 MVA; it must"),
         (
             ('kind = "power"', 'kind = "voltage", vm_pu = 1.0'),
             "source[2].kind: no source but the slack holds the voltage",
