@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from itertools import groupby
 from typing import Any
 
 from dsse_core.printable import listed, printable, printable_lines, shortened_inside
@@ -66,22 +67,42 @@ class PowerFlowDivergedError(DsseError):
 class NotObservableError(DsseError):
     """The measurements do not determine the state; names the buses, with phases such as "645.b", and a cure.
 
+    ``cures``: meters each of which would do if it were added. ``together``: else a few that would together.
     ``left_out``: meters that are not believed, each with its reading, as text.
     """
 
-    def __init__(self, buses: Sequence[int | str], cures: Sequence[str], left_out: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        buses: Sequence[int | str],
+        cures: Sequence[str],
+        left_out: Sequence[str] = (),
+        together: Sequence[str] = (),
+    ) -> None:
         self.buses = tuple(buses)
         self.cures = tuple(cures)
         self.left_out = tuple(left_out)
-        names = listed(self.buses, MOST_NAMED)
-        remedy = (
-            "any one of these added meters would cure it: " + listed(self.cures, separator="; ")
-            if self.cures
-            else "no single added meter would cure it; add meters among these buses"
-        )
+        self.together = tuple(together)
+        names = listed(_join_phases(self.buses), MOST_NAMED)
+        remedy = "no single added meter would cure it; add meters among these buses"
+        if self.cures:
+            remedy = "any one of these added meters would cure it: " + listed(self.cures, separator="; ")
+        elif self.together:
+            remedy = (
+                f"no single added meter would cure it, together these would: {listed(self.together, separator='; ')}"
+            )
         them = "it" if len(self.left_out) == 1 else "them"
         without = f"{listed(self.left_out, separator='; ')}: left out as dead; without {them} " if self.left_out else ""
         super().__init__(f"{without}the measurements do not determine the state of bus {names}; {remedy}")
+
+
+def _join_phases(nodes: Sequence[int | str]) -> list[int | str]:
+    """``nodes`` as text with those of one bus, which follow each other, as one, such as "645 (b, c)"."""
+    joined: list[int | str] = []
+    for bus, of_bus in groupby(nodes, key=lambda node: str(node).partition(".")[0]):
+        known = list(of_bus)
+        phases = ", ".join(str(node).partition(".")[2] for node in known)
+        joined.append(known[0] if len(known) == 1 else f"{bus} ({phases})")
+    return joined
 
 
 class EstimationDivergedError(DsseError):

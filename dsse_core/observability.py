@@ -80,8 +80,9 @@ def find_indispensable_rows(network: Network, meters: Sequence[Meter], *, refere
     null[free] = unseen
     rows = np.flatnonzero(find_touched(null).reshape(2, n).any(axis=0))
     places, present = [network.nodes[row] for row in rows.tolist()], {meter.id for meter in meters}
-    cures = _find_cures(network, places, present, null, reference) if null.shape[1] < width else []
-    raise NotObservableError([name_node(*place) if place[1] else place[0] for place in places], cures)
+    cures, together = _find_cures(network, places, present, null, reference) if null.shape[1] < width else ([], [])
+    nodes = [name_node(*place) if place[1] else place[0] for place in places]
+    raise NotObservableError(nodes, cures, together=together)
 
 
 def _most_phases(network: Network) -> int:
@@ -184,22 +185,40 @@ def _scaled_jacobian(network: Network, model: MeasurementModel, reference: int) 
 
 def _find_cures(
     network: Network, places: Sequence[tuple[int, str]], present: set[str], null: np.ndarray, reference: int
-) -> list[str]:
-    """Single meters, or those of all phases of one place, whose rows see every null vector, as text."""
+) -> tuple[list[str], list[str]]:
+    """Single meters, or those of all phases of one place, whose rows see every null vector, as text; where there are
+    none, a few that do so together.
+    """
     candidates = [
         missing
         for candidate in _candidates(network, places)
         if (missing := [meter for meter in candidate if meter.id not in present])
     ]
     model = _no_load_model(network, [meter for candidate in candidates for meter in candidate])
-    seen = _scaled_jacobian(network, model, reference) @ null
+    seen = _split(_scaled_jacobian(network, model, reference) @ null, [len(c) for c in candidates])
     cures = []
-    for candidate, rows in zip(candidates, _split(seen, [len(c) for c in candidates]), strict=True):
+    for candidate, rows in zip(candidates, seen, strict=True):
         if np.linalg.matrix_rank(rows, tol=TOUCHED) == null.shape[1]:
             cures.append(_describe(candidate))
             if len(cures) == MAX_CURES:
                 break
-    return cures
+    return cures, [] if cures else [_describe(candidates[k]) for k in _choose_together(seen, null.shape[1])]
+
+
+def _choose_together(seen: Sequence[np.ndarray], n: int) -> list[int]:
+    """The places in ``seen``, rows of n columns each, of a few whose rows together have rank n, the most useful first;
+    none where all together have less.
+    """
+    chosen: list[int] = []
+    rows, rank = np.zeros((0, n)), 0
+    while rank < n:
+        ranks = [int(np.linalg.matrix_rank(np.vstack([rows, more]), tol=TOUCHED)) for more in seen]
+        if not ranks or max(ranks) == rank:
+            return []
+        rank = max(ranks)
+        chosen.append(ranks.index(rank))
+        rows = np.vstack([rows, seen[chosen[-1]]])
+    return chosen
 
 
 def _split(rows: np.ndarray, lengths: Sequence[int]) -> list[np.ndarray]:

@@ -188,7 +188,7 @@ def _leave_out_dead(
         plan = plan.without(rows)
     except NotObservableError as error:
         left_out = [f"{m.meter} reads {m.value:.3g} p.u., below {DEAD_VM:g}" for m in dead]
-        raise NotObservableError(error.buses, error.cures, left_out) from None
+        raise NotObservableError(error.buses, error.cures, left_out, error.together) from None
     return plan, np.delete(values, rows), np.delete(sigmas, rows), dead
 
 

@@ -21,11 +21,11 @@ import numpy as np
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.loads import Load
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
-from dsse_core.grid.nodes import Primitive, list_phases
+from dsse_core.grid.nodes import Primitive, list_phases, share_of_power
 from dsse_core.grid.primitives import find_size
 from dsse_core.printable import listed, printable
 from dsse_core.results.units import base_current
-from scenarios.files.network_columns import default_branch_id, share_of_power
+from scenarios.files.network_columns import default_branch_id
 from scenarios.files.network_phases import find_nominal_across
 from scenarios.importers.fused_branches import fuse_zero_impedances
 from scenarios.importers.imported import Imported, Places, Remark, leave_out_islands, load_extra, rating

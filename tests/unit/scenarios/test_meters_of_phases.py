@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -10,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsse_core.errors import InvalidInputError
+from dsse_core.errors import InvalidInputError, NotObservableError
 from dsse_core.estimation.estimator import estimate_state
 from dsse_core.grid.measurement import MeasurementKind, Meter, Source, find_meter_problems
 from dsse_core.grid.meter_table import list_ids
 from dsse_core.grid.network import Network
+from dsse_core.observability import check_observable
 from scenarios.check import check_scenario
 from scenarios.files.network_file import load_case
 from scenarios.files.readings.columns import read_sound_columns
@@ -312,3 +314,29 @@ def test_a_reading_of_phases_that_inject_exactly_nothing_is_refused_by_node_or_b
         load_scenario(scenario)
     assert len(caught.value.problems) == 2
     assert "p_injection@680 has a reading, but" in caught.value.problems[1]
+
+
+def find_gap(*injections: int | str) -> NotObservableError:
+    changes = {"measurements.voltage.buses": [650], "measurements.flow.branches": ["60-632", "632-670"]}
+    scenario = load_scenario("ieee13", changes=changes | {"measurements.injection.buses": list(injections)})
+    with pytest.raises(NotObservableError) as caught:
+        check_observable(scenario.network, scenario.meters)
+    return caught.value
+
+
+def test_the_unobservable_phases_of_a_lateral_are_named_with_the_meters_that_cure_them() -> None:
+    lateral = find_gap(634, 646, 645, 675, 670)
+    assert "the state of bus 684 (a, c), 611.c, 652.a; any one of these added meters would cure it" in str(lateral)
+    assert "P and Q flow of branch 684-652 at bus 684.a" in lateral.cures
+
+
+def test_a_few_meters_are_named_that_cure_together_where_none_does_alone() -> None:
+    injections = (646, 671, "634.a", "634.c", "675.a", "675.b", 652, 670)
+    apart = find_gap(*injections)
+    assert (apart.cures, len(apart.together)) == ((), 2)
+    assert f"together these would: {'; '.join(apart.together)}" in str(apart)
+    named = [re.search(r"branch (\S+) at bus \d+\.(\w)$", cure) for cure in apart.together]
+    added = [f"{found[1]}.{found[2]}" for found in named if found]
+    changes = {"measurements.voltage.buses": [650], "measurements.injection.buses": list(injections)}
+    changes["measurements.flow.branches"] = ["60-632", "632-670", *added]
+    check_scenario(load_scenario("ieee13", changes=changes))
