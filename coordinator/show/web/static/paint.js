@@ -300,7 +300,8 @@ function paintCause(canvas) {
   context.beginPath();
   for (const place of rows) traceBus(context, at[place], RINGED);
   context.stroke();
-  const text = `${kind === "meter" ? `${ids[0]}: ` : cause.scope === "grid" ? `${kind} ${ids[0]}: ` : ""}${cause.mark}`.slice(0, LONGEST_LABEL);
+  const name = kind === "bus" ? nameOf(ids[0], moment.worst[rows[0]]?.phase ?? ALL) : ids[0];
+  const text = `${kind === "meter" ? `${name}: ` : cause.scope === "grid" ? `${kind} ${name}: ` : ""}${cause.mark}`.slice(0, LONGEST_LABEL);
   context.font = `600 ${LABEL - 1}px system-ui, sans-serif`;
   context.textAlign = "left";
   const wide = context.measureText(text).width, left = Math.max(8, Math.min(width - wide - 8, x - wide / 2)), top = Math.max(LABEL + 2, y - 38);
