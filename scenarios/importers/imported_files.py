@@ -86,7 +86,7 @@ def write_imported(
 
 def _write_files(folder: Path, imported: Imported, n_area: int) -> Path:
     network = imported.network
-    save_network(folder / name_network_file(len(network.buses)), network, imported.data_source)
+    save_network(folder / name_network_file(network.n_nodes), network, imported.data_source)
     if imported.readings:
         save_readings(folder / "readings.csv", network, imported.readings)
         zero = imported.zero_injection
@@ -113,7 +113,7 @@ def _head(imported: Imported, n_area: int) -> str:
         "# Written by dsse import; import.txt says what was converted, and docs/how-to/import.md how.\n\n"
         f"version = 1\nname = {format_toml(imported.network.name[:LONGEST_NAME])}\n"
         f'description = "{" ".join(text.split())}"\n'
-        f'network = "{name_network_file(len(imported.network.buses))}"\nstrategy = "information"\n'
+        f'network = "{name_network_file(imported.network.n_nodes)}"\nstrategy = "information"\n'
         f"areas = {{ count = {n_area} }}\n"
     )
 
