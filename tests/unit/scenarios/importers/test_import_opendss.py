@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.network import Network
 from dsse_core.grid.nodes import Primitive
 from dsse_core.power_flow.newton_raphson import solve_power_flow
@@ -24,8 +25,9 @@ from scenarios.files.network_file import load_network
 from scenarios.files.saved_network import save_network
 from scenarios.importers import import_grid
 from scenarios.importers.opendss.reader import Circuit, solve_circuit
-from scenarios.importers.opendss.script import read_script
+from scenarios.importers.opendss.script import Command, read_script
 from scenarios.importers.opendss.vocabulary import Words, load_vocabulary
+from tests.support.ieee_feeders import load_feeder
 from tests.support.levels import further
 
 pytest.importorskip("opendssdirect", reason="needs OpenDSS: pip install '.[opendss]'")
@@ -307,3 +309,40 @@ def test_hostile_circuits_leave_nothing(tmp_path: Path) -> None:
         import_grid(path)
     assert len(error.value.problems) == 2
     assert sorted(tmp_path.rglob("*")) == [*before, path]
+
+
+def fix_taps(**steps: int) -> tuple[str, ...]:
+    return (*(f"transformer.{name}.wdg=2 tap={1 + 0.00625 * step}" for name, step in steps.items()), NO_CONTROL)
+
+
+NO_CONTROL = "set controlmode=off"
+STIFF = "edit vsource.source mvasc3=200000 mvasc1=200000"  # as the other 4-bus feeders; the file has 1e6
+STORED = {
+    "ieee13": ("13Bus/IEEE13Nodeckt.dss", fix_taps(reg1=10, reg2=8, reg3=11)),
+    "ieee34": ("34Bus/ieee34Mod1.dss", ()),
+    "ieee37": ("37Bus/ieee37.dss", ()),
+    **{f"4bus-{name.lower()}": (f"4Bus-{name}-Bal/4Bus-{name}-Bal.DSS", ()) for name in ("DY", "YD", "GrdYD", "YY")},
+    "4bus-oyod": ("4Bus-OYOD-UnBal/4bus-OYOD-UnBal.dss", (STIFF,)),
+}
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not FEEDERS.is_dir(), reason="OPENDSS_FEEDERS names no checkout of dss-extensions/electricdss-tst")
+@pytest.mark.parametrize("name", STORED)
+def test_the_feeders_of_the_tests_are_those_of_opendss(name: str) -> None:
+    """Their matrices are by parameters, without the 4.2e-8 S that OpenDSS adds at each end of a line."""
+    file, commands = STORED[name]
+    script = read_script(FEEDERS / file, FEEDERS)
+    script.commands += [Command(text, "test") for text in commands]
+    circuit, stored = Circuit(solve_circuit(script, FEEDERS / file), script), load_feeder(name)
+    circuit.base_mva = stored.base_mva
+    mine = circuit.finish(FEEDERS / file).network
+    assert [(bus.id, bus.phases) for bus in mine.buses] == [(bus.id, bus.phases) for bus in stored.buses]
+    theirs, ours = (build_admittance(network).ybus.toarray() for network in (stored, mine))
+    assert abs(ours - theirs) / abs(theirs).max(axis=1, keepdims=True) == pytest.approx(0.0, abs=2e-6)
+    legs = [[(leg.bus, leg.phases, *leg.exponents) for leg in network.loads] for network in (mine, stored)]
+    assert sorted(legs[0]) == sorted(legs[1])
+    power = [sorted(leg.s.real * network.base_mva for leg in network.loads) for network in (mine, stored)]
+    assert power[0] == pytest.approx(power[1], rel=1e-9, abs=1e-12)
+    shunts = [[bus.b_shunt * network.base_mva for bus in network.buses] for network in (mine, stored)]
+    assert shunts[0] == pytest.approx(shunts[1], abs=1e-9)
