@@ -302,7 +302,11 @@ def build_model_of_rows(
     other: np.ndarray | None = None,
     of_meter: np.ndarray | None = None,
 ) -> MeasurementModel:
-    """The model of rows of ``kind``, places in KINDS, with their rows ``y`` of admittances and their nodes."""
+    """The model of rows of ``kind``, places in KINDS, with their rows ``y`` of admittances and their nodes.
+
+    Rows of voltages keep only the entry of their node, as 0: others would fill in the tableau.
+    """
+    y = _without_currents(y, np.array([k.of_voltage for k in KINDS])[kind], node)
     if other is not None:
         y = _with_entries(y, other)
     row = np.repeat(np.arange(len(kind)), np.diff(y.indptr))
@@ -317,6 +321,14 @@ def build_model_of_rows(
         other=other,
         of_meter=of_meter,
     )
+
+
+def _without_currents(y: sp.csr_array, of_voltage: np.ndarray, node: np.ndarray) -> sp.csr_array:
+    """``y`` (k, n) whose rows ``of_voltage`` (k,) have one stored entry, 0 at the row's ``node`` (k,)."""
+    row = np.repeat(np.arange(len(node)), np.diff(y.indptr))
+    kept = np.flatnonzero(~of_voltage[row] | (y.indices == node[row]))
+    data = np.where(of_voltage[row[kept]], 0.0, y.data[kept])
+    return sp.csr_array((data, y.indices[kept], np.searchsorted(kept, y.indptr)), shape=y.shape)
 
 
 def _with_entries(y: sp.csr_array, column: np.ndarray) -> sp.csr_array:

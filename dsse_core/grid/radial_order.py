@@ -15,7 +15,6 @@ from dsse_core.grid.measurement_model import MeasurementModel
 from dsse_core.grid.network import Network
 
 _AT_BRANCHES = tuple(kind for kind in MeasurementKind if kind.of_branch)
-_INJECTIONS = tuple(kind for kind in MeasurementKind if kind.of_injection)
 
 
 @dataclass(frozen=True)
@@ -124,9 +123,9 @@ def order_tableau(
 
 def _place_meters(place: np.ndarray, model: MeasurementModel) -> np.ndarray:
     """The place of each meter, (n_meas,), where the voltages of nodes have 3 ``place`` + 2."""
-    injections, first = np.isin(model.kinds, _INJECTIONS), model.first_rows
-    outermost = np.minimum.reduceat(place[model.y.indices], model.y.indptr[first]) if len(injections) else injections
-    return np.where(injections, 3 * place[model.node[first]], 3 * outermost + 1)
+    at_branches, first = np.isin(model.kinds, _AT_BRANCHES), model.first_rows
+    outermost = np.minimum.reduceat(place[model.y.indices], model.y.indptr[first]) if len(first) else first
+    return np.where(at_branches, 3 * outermost + 1, 3 * place[model.node[first]])
 
 
 def _find_owners(place: np.ndarray, model: MeasurementModel, of_meter: np.ndarray) -> np.ndarray:

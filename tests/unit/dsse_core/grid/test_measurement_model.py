@@ -33,6 +33,14 @@ def test_every_derivative_agrees_with_central_differences(meshed, meters_of, kin
     np.testing.assert_allclose(model.jacobian(x).toarray(), numerical, atol=2e-8)
 
 
+@pytest.mark.parametrize("kind", [Kind.VM, Kind.VA])
+def test_a_row_of_voltage_has_no_entries_of_other_nodes_that_would_fill_in_the_tableau(meshed, meters_of, kind):
+    meters = meters_of(meshed, kind)
+    H, n, row = model_of(meshed, meters).jacobian(random_state(meshed, 0)), len(meshed.buses), meshed.row
+    for k, meter in enumerate(meters):
+        assert H.indices[H.indptr[k] : H.indptr[k + 1]].tolist() == [row[meter.bus], n + row[meter.bus]]
+
+
 @pytest.mark.parametrize("kind", [Kind.P_FLOW, Kind.Q_INJECTION, Kind.VM])
 def test_the_derivatives_hold_also_where_newton_has_passed_through_a_negative_magnitude(meshed, meters_of, kind):
     model, x, step = model_of(meshed, meters_of(meshed, kind)), random_state(meshed, 5), 1e-6
