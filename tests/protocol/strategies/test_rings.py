@@ -85,6 +85,26 @@ def test_ties_that_are_carried_open_or_closed_leave_all_variables_where_they_are
     assert_same_decisions(bus, report)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(("n_area", "victim"), [(5, "area1"), (5, "area3"), (8, "area4")])
+def test_an_area_that_dies_in_rings_leaves_the_others_within_their_standard_deviations_and_none_good(n_area, victim):
+    scenario = tied33(n_area)
+    bus, report = settle(scenario, 0.3)
+    bus.kill(victim)
+    bus.next_scan(make_telemetry(scenario).by_area)
+    bus.run(20.0)
+    row = report.result.network.row
+    for name in bus.states.keys() - {victim}:
+        state = bus.states[name]
+        off = abs(np.array(state.vm) - report.result.vm[[row[bus_id] for bus_id in state.buses]])
+        assert (off / state.sigma_vm).max() < 5
+        assert state.quality in {"degraded", "relative-angle"}
+    bus.start(victim)
+    bus.run(20.0)
+    assert {state.quality for state in bus.states.values()} == {"good"}
+    assert find_gap(bus, report) < GAP
+
+
 @pytest.mark.parametrize("closed", [("645-611", "633-680"), *further((), ("645-611",), ("633-680",))])
 def test_phases_of_ties_are_carried_each_by_itself(closed, tmp_path):
     """Area 2 relays phase c of bus 611 between areas 1 and 3."""
