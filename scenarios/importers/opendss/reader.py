@@ -152,6 +152,8 @@ class Circuit:
         there = {bus.id for bus in network.buses}
         names = [name for name, leg in self.legs if leg.bus in there]
         network, fused = fuse_zero_impedances(network)
+        ids = (branch.id.replace("#", "-") for branch in network.branches)  # as area files have them
+        network = replace(network, branches=tuple(map(lambda b, k: replace(b, id=k), network.branches, ids)))
         self.remarks += [*fused, *self._find_remarks()]
         named = Counter(name.partition(".")[0] for name in (*(e["name"] for e in self.elements), *dict.fromkeys(names)))
         converted = {"buses": len(network.buses), "nodes": network.n_nodes}

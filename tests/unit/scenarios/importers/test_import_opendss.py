@@ -133,6 +133,7 @@ def test_what_was_changed_is_said_and_profiles_stand_beside(tmp_path: Path) -> N
     buses = {bus.name or str(bus.id): bus for bus in network.buses}
     assert (buses["632"].x, buses["632"].y, buses["s1"].phases) == (3.0, 4.0, "s1s2")
     branches = {branch.name: branch for branch in network.branches}
+    assert branches["transformer.reg2"].id == "650-60-2"
     assert not branches["line.tie"].in_service
     assert branches["line.main"].i_max * base_current(network.base_mva, 4.16) == pytest.approx(600)
     produced = [load for load in network.loads if load.s.real < 0]
