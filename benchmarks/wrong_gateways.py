@@ -20,7 +20,6 @@ from dsse_core.exchange.gateway_mistakes import (
     HIGHEST_LOAD,
     LOWEST_LOAD,
     MISTAKES,
-    POWERS,
     THRESHOLD,
     GatewayTest,
     add_up,
@@ -65,7 +64,7 @@ def read(scenario: Scenario, scan: int) -> Readings:
 def spoil(readings: Readings, area: str, factor: float) -> Readings:
     """``readings`` with all P and Q of ``area`` times ``factor``."""
     spoilt = [
-        replace(m, value=factor * m.value) if m.meter.kind in POWERS and m.meter.source is not Source.VIRTUAL else m
+        replace(m, value=factor * m.value) if m.meter.kind.of_power and m.meter.source is not Source.VIRTUAL else m
         for m in readings[area]
     ]
     return readings | {area: spoilt}

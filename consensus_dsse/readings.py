@@ -11,7 +11,7 @@ import numpy as np
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.wording import suggest
 from dsse_core.grid.measurement import Source
-from dsse_core.results.meters import UNIT, find_unit_sizes
+from dsse_core.results.meters import find_unit_sizes
 from dsse_core.results.table import Table
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
@@ -77,7 +77,7 @@ def _write_wide(scenario: Scenario, values: Mapping[str, Any], index: Any) -> st
             raise InvalidInputError("readings", [f"{name!r} names no row, or several; give each one" for name in wrong])
         columns["scan"] = np.array(names)[scan]
     sigmas = np.array([own[name].sigma for name in values]) * find_unit_sizes(scenario.network, meters)
-    units = np.array([UNIT[meter.kind] for meter in meters])
+    units = np.array([meter.kind.quantity.unit for meter in meters])
     for unit in dict.fromkeys(units.tolist()):
         is_in = units[column] == unit
         columns[f"value_{unit}"] = np.where(is_in, matrix[scan, column], np.nan)

@@ -18,9 +18,10 @@ from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.columns import Records, take_items
 from dsse_core.grid.measurement import MeasurementKind, Meter, find_meter_problems
 from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
-from dsse_core.grid.meter_table import KINDS, each_fits, number_kinds, number_meters
+from dsse_core.grid.meter_table import QUANTITY, each_fits, number_kinds, number_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.nodes import list_phases, name_node
+from dsse_core.grid.quantities import Quantity
 from dsse_core.grid.radial_order import order_tableau
 from dsse_core.matrices.augmented import AugmentedPattern, reciprocal_row_lengths, scale_rows
 
@@ -35,16 +36,6 @@ SHIFTS = (1e-20, 1e-18, 1e-16, 1e-14)
 WIDTH = 4  # null vectors sought: of one phase a meter cures at most 2, and 4 random ones touch all that is undetermined
 TOUCHED = 1e-6  # entry of a null vector from which on a variable counts as undetermined
 MAX_CURES = 4
-
-_CURRENT = KINDS.index(MeasurementKind.CURRENT)
-_QUANTITY = {
-    MeasurementKind.VM: "voltage magnitude",
-    MeasurementKind.VA: "voltage angle",
-    MeasurementKind.P_FLOW: "P",
-    MeasurementKind.Q_FLOW: "Q",
-    MeasurementKind.P_INJECTION: "P",
-    MeasurementKind.Q_INJECTION: "Q",
-}
 
 
 def check_observable(network: Network, meters: Sequence[Meter], *, reference: int | None = None) -> None:
@@ -73,7 +64,7 @@ def find_indispensable_rows(network: Network, meters: Sequence[Meter], *, refere
     fit = NoLoadFit(_scaled_jacobian(network, model, reference)[:, free], None if order.fills_in else order.rows, width)
     unseen = fit.find_null_vectors()
     if unseen.shape[1] == 0:
-        found: np.ndarray = number_kinds(meters) != _CURRENT
+        found: np.ndarray = QUANTITY[number_kinds(meters)] != Quantity.CURRENT
         found[found] = fit.find_unchecked()
         return found
     null = np.zeros((2 * n, unseen.shape[1]))
@@ -172,7 +163,7 @@ def find_touched(null: np.ndarray) -> np.ndarray:
 
 def _no_load_model(network: Network, meters: Sequence[Meter]) -> MeasurementModel:
     """The measurement model of ``meters`` without current magnitudes, in the network without charging and shunts."""
-    meters = take_items(meters, np.flatnonzero(number_kinds(meters) != _CURRENT))
+    meters = take_items(meters, np.flatnonzero(QUANTITY[number_kinds(meters)] != Quantity.CURRENT))
     return build_measurement_model(network, build_admittance(network, with_shunts=False), meters)
 
 
@@ -253,7 +244,7 @@ def _candidates(network: Network, places: Sequence[tuple[int, str]]) -> Iterator
 
 def _describe(meters: Sequence[Meter]) -> str:
     """E.g. "P and Q flow of branch 3-4 at bus 3", "voltage magnitude at bus 2", of two phases "... at bus 2.a, 2.b"."""
-    what = " and ".join(dict.fromkeys(_QUANTITY[meter.kind] for meter in meters))
+    what = " and ".join(dict.fromkeys(meter.kind.quantity.words for meter in meters))
     bus, branch = ", ".join(dict.fromkeys(meter.at for meter in meters)), meters[0].branch
     if branch:
         return f"{what} flow of branch {branch} at bus {bus}"

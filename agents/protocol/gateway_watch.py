@@ -8,7 +8,7 @@ import numpy as np
 
 from agents.protocol.readings import Readings
 from dsse_core.exchange.area_estimation import FAILURES
-from dsse_core.exchange.gateway_mistakes import MISTAKES, POWERS, THRESHOLD, GatewayTest, add_up
+from dsse_core.exchange.gateway_mistakes import MISTAKES, THRESHOLD, GatewayTest, add_up
 from dsse_core.grid.partition import Area
 from dsse_core.linear.boundary_information import BoundaryInformation
 
@@ -33,7 +33,7 @@ class GatewayWatch:
         if scan == self._scan:
             return
         self._scan = scan
-        powers = {m.meter.id for m in readings.measurements if m.meter.kind in POWERS}
+        powers = {m.meter.id for m in readings.measurements if m.meter.kind.of_power}
         for gateway in self._sums.keys() - readings.senders.keys():
             del self._sums[gateway], self._times[gateway]
         for gateway, meters in readings.senders.items():

@@ -17,9 +17,9 @@ from dsse_core.estimation.residuals import THRESHOLD
 from dsse_core.estimation.result import EstimationResult
 from dsse_core.gauss_newton import MAX_DVA, MAX_DVM, Solution
 from dsse_core.grid.admittance import build_admittance, flat_start
-from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.grid.measurement_model import build_measurement_model
-from dsse_core.grid.meter_table import KINDS, number_kinds
+from dsse_core.grid.meter_table import QUANTITY, number_kinds
+from dsse_core.grid.quantities import Quantity
 
 MOST_SUSPECTS = 3  # meters; without each of them the state is estimated once more
 
@@ -82,7 +82,7 @@ def _find_distance(rest: EstimationResult, plan: EstimationPlan, row: int, value
 
 def _find_cause(plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, estimate: Estimate) -> str:
     """Text of the cause that keeps the iteration from its end, where no single reading is the cause."""
-    currents = np.flatnonzero(number_kinds(plan.meters) == KINDS.index(MeasurementKind.CURRENT)).tolist()
+    currents = np.flatnonzero(QUANTITY[number_kinds(plan.meters)] == Quantity.CURRENT).tolist()
     if currents and _estimate_without(plan, values, sigmas, currents, estimate) is not None:
         return (
             f"without its {len(currents)} current magnitudes it does: they do not say where to these currents flow; "

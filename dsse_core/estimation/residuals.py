@@ -12,8 +12,9 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from dsse_core.grid.measurement import MeasurementKind, Meter
-from dsse_core.grid.meter_table import KINDS, number_kinds
+from dsse_core.grid.measurement import Meter
+from dsse_core.grid.meter_table import QUANTITY, number_kinds
+from dsse_core.grid.quantities import Quantity
 
 CONFIDENCE = 0.99  # of the chi-square test that asks for normalised residuals
 FALSE_ALARMS = 1e-4  # share of scans of sound readings that lose ``good``, and that accuse a gateway, each at most
@@ -103,5 +104,5 @@ def find_dead(meters: Sequence[Meter], values: Sequence[float] | np.ndarray) -> 
     Dead voltmeters are never believed: the other meters alone determine the state, or it is not observable. Several
     dead voltmeters do not confirm each other.
     """
-    dead = (number_kinds(meters) == KINDS.index(MeasurementKind.VM)) & (np.asarray(values) < DEAD_VM)
+    dead = (QUANTITY[number_kinds(meters)] == Quantity.VM) & (np.asarray(values) < DEAD_VM)
     return np.flatnonzero(dead).tolist()

@@ -26,6 +26,7 @@ from dsse_core.exchange.feeder_bad_data import (
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area
+from dsse_core.grid.quantities import Quantity
 from dsse_core.linear import choose_backend
 from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BoundaryInformation, are_within_reason
@@ -169,7 +170,7 @@ class AreaEstimation:
         """Builds the models of the meters in use; new readings of the same meters keep rows and no-load model."""
         self._omega = None
         with_currents = self._in_use()
-        without = [m for m in with_currents if m.meter.kind is not MeasurementKind.CURRENT]
+        without = [m for m in with_currents if m.meter.kind.quantity is not Quantity.CURRENT]
         self._n_current = len(with_currents) - len(without)
         in_use = with_currents if self._uses_currents else without
         as_before = self._silent or self._is_blank

@@ -10,13 +10,14 @@ for any z at the start.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
 from dsse_core.gauss_newton import MAX_DVM
-from dsse_core.grid.measurement import MeasurementKind
+from dsse_core.grid.meter_table import OF_POWER, QUANTITY
 from dsse_core.grid.partition import Neighbour
+from dsse_core.grid.quantities import Quantity
 from dsse_core.linear.area_model import AreaModel
 from dsse_core.linear.boundary_information import EXACT_SIGMA, BoundaryInformation
 
@@ -28,8 +29,6 @@ DAMPING = 0.3  # tau, p.u. and rad
 # below the meters' times SPREAD, those of voltages below the meters' own.
 SPREAD = 3.0
 
-_POWER = (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW, MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
-
 
 def compute_weight(model: AreaModel, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
     """The area's own information about each of the variables y, shape (d,), in units of which a penalty of 1 is good.
@@ -39,8 +38,8 @@ def compute_weight(model: AreaModel, x: np.ndarray, neighbour: Neighbour) -> np.
     nothing of vm.
     """
     R = model.linear.information(x, neighbour, {}).R
-    power = _median_sigma(model, _POWER, POWER_METER_SIGMA)
-    voltage = _median_sigma(model, (MeasurementKind.VM,), VOLTMETER_SIGMA)
+    power = _median_sigma(model, OF_POWER, POWER_METER_SIGMA)
+    voltage = _median_sigma(model, QUANTITY == Quantity.VM, VOLTMETER_SIGMA)
     boundary = model.boundary_of(neighbour)
     largest = boundary.per_kind(SPREAD * power, SPREAD * power, voltage, voltage)
     least = boundary.per_kind(power, power, voltage, voltage) / SPREAD
@@ -65,7 +64,7 @@ def pull(M: np.ndarray, z: np.ndarray) -> BoundaryInformation:
     return BoundaryInformation(np.diag(root), root * z)
 
 
-def _median_sigma(model: AreaModel, kinds: Collection[MeasurementKind], default: float) -> float:
-    """Median sigma of the area's real meters of ``kinds``; ``default`` without such a meter."""
-    chosen = model.sigma[np.isin(model.kinds, list(kinds)) & (model.sigma > EXACT_SIGMA)]
+def _median_sigma(model: AreaModel, is_wanted: np.ndarray, default: float) -> float:
+    """Median sigma of the area's real meters; ``default`` without such a meter. ``is_wanted``: of each of KINDS."""
+    chosen = model.sigma[is_wanted[model.kinds] & (model.sigma > EXACT_SIGMA)]
     return float(np.median(chosen)) if chosen.size else default

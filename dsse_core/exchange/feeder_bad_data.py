@@ -13,8 +13,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.grid.admittance import flat_start
-from dsse_core.grid.measurement import Measurement, MeasurementKind
+from dsse_core.grid.measurement import Measurement
+from dsse_core.grid.meter_table import OF_VOLTAGE
 from dsse_core.grid.partition import Area, Neighbour
+from dsse_core.grid.quantities import Quantity
 from dsse_core.linear import NoLoadSolver
 from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BoundaryInformation
@@ -128,12 +130,12 @@ def _keep_something(R: np.ndarray, n: int, typical: float) -> np.ndarray:
 
 def build_no_load_model(area: Area, measurements: Sequence[Measurement], reference: int | None) -> NoLoadModel:
     """The no-load model of ``area``; ``reference``: bus of the grid's angle reference, if the area sees it."""
-    but_currents = [m for m in measurements if m.meter.kind is not MeasurementKind.CURRENT]
+    but_currents = [m for m in measurements if m.meter.kind.quantity is not Quantity.CURRENT]
     model = build_area_model(area, but_currents, reference, with_shunts=False)
     start = area.slack_bus if reference is None else reference
     vm, va = area.find_no_load() if area.no_load else flat_start(area.network, start)
     x = np.concatenate([va, vm, np.zeros(model.size - 2 * len(vm))])
-    of_power = ~np.isin(model.kinds, (MeasurementKind.VM, MeasurementKind.VA))
+    of_power = ~OF_VOLTAGE[model.kinds]
     typical = np.median([1 / abs(complex(b.r, b.x)) for b in area.network.active_branches] or [1.0])
     model = replace(model, z=model.predict(x), sigma=np.where(of_power, typical, 1.0))
     return NoLoadModel(model, NoLoadSolver(model, float(typical)), x, model.ids, float(typical))

@@ -33,12 +33,12 @@ from dsse_core.gauss_newton import LAST_STEP, MOST_STEPS
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Control
 from dsse_core.grid.partition import Area
+from dsse_core.grid.quantities import Quantity
 from dsse_core.linear.area_model import build_area_model
 from dsse_core.linear.boundary_information import BoundaryInformation
 from dsse_core.linear.contributions import VoltageReadings
 
 KIND = MeasurementKind
-POWERS = (KIND.P_INJECTION, KIND.Q_INJECTION, KIND.P_FLOW, KIND.Q_FLOW)
 MISTAKES: Mapping[float, str] = {-1.0: "sign", 1e-3: "unit, 1000 times too large", 1e3: "unit, 1000 times too small"}
 """Factor by which readings would have to be multiplied -> name of the mistake."""
 LOWEST_LOAD, HIGHEST_LOAD = 0.2, 1.5  # range of a load, in parts of its schedule
@@ -181,8 +181,11 @@ class GatewayTest:
 
     def _rows_of(self, readings: Sequence[Measurement]) -> _Rows:
         """Rows of the meters read, but currents and dead voltmeters; kept as long as these meters stay the same."""
-        used = [m.meter for m in readings if m.meter.kind is not KIND.CURRENT]
-        dead = {used[k] for k in find_dead(used, [m.value for m in readings if m.meter.kind is not KIND.CURRENT])}
+        used = [m.meter for m in readings if m.meter.kind.quantity is not Quantity.CURRENT]
+        dead = {
+            used[k]
+            for k in find_dead(used, [m.value for m in readings if m.meter.kind.quantity is not Quantity.CURRENT])
+        }
         read = tuple(meter for meter in used if meter not in dead)
         if self._rows is None or self._rows.read != read:
             self._rows = _Rows(self._area, self._reference, read, self._loads)
@@ -202,7 +205,7 @@ class _Rows:
         self.read = read
         self.meters = (*read, *(Meter(kind, bus, source=Source.PSEUDO, phases=phase) for kind, bus, phase in unread))
         self.is_virtual = np.array([meter.source is Source.VIRTUAL for meter in self.meters], dtype=bool)
-        self.is_power = np.array([meter.kind in POWERS for meter in self.meters], dtype=bool) & ~self.is_virtual
+        self.is_power = np.array([meter.kind.of_power for meter in self.meters], dtype=bool) & ~self.is_virtual
         self._is_injection = np.array([meter.kind.of_injection for meter in self.meters], dtype=bool)
         known = [
             loads.get(place) if place and meter.source is not Source.VIRTUAL else None

@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from dsse_core.code_cache import compiled
+from dsse_core.grid.quantities import Quantity
 
-ACTIVE, REACTIVE, CURRENT, MAGNITUDE, ANGLE, REAL, IMAGINARY = range(7)  # what a meter reads
+P, Q, CURRENT, VM, VA, I_REAL, I_IMAG = map(int, Quantity)
 
 
 @compiled
@@ -48,22 +49,22 @@ def linearize(x, reads, indptr, column, y, at_node, wanted, floors):
 
 
 @compiled
-def read(kind, u, i, floors):
-    """The reading h of a meter at voltage ``u`` and current ``i``; ``of_u``, ``of_i`` of dh = Re(of_u du + of_i di)."""
-    if kind == ACTIVE:
+def read(quantity, u, i, floors):
+    """h of a ``Quantity`` at voltage ``u`` and current ``i``; ``of_u``, ``of_i`` of dh = Re(of_u du + of_i di)."""
+    if quantity == P:
         return u.real * i.real + u.imag * i.imag, i.conjugate(), u.conjugate()
-    if kind == REACTIVE:
+    if quantity == Q:
         return u.imag * i.real - u.real * i.imag, complex(-i.imag, -i.real), complex(u.imag, u.real)
-    if kind == CURRENT:
+    if quantity == CURRENT:
         size = math.sqrt(i.real**2 + i.imag**2)
         return size, 0j, complex(i.real / size, -i.imag / size) if size > floors[0] else 0j
-    if kind == REAL:
+    if quantity == I_REAL:
         return i.real, 0j, 1.0 + 0j
-    if kind == IMAGINARY:
+    if quantity == I_IMAG:
         return i.imag, 0j, -1j
     size = math.sqrt(u.real**2 + u.imag**2)
     least = max(size, floors[1])
-    if kind == MAGNITUDE:
+    if quantity == VM:
         return size, complex(u.real / least, -u.imag / least), 0j
     over = 1.0 / (least * least)
     return math.atan2(u.imag, u.real), complex(-u.imag * over, -u.real * over), 0j

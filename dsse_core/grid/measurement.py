@@ -6,7 +6,8 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
+from enum import Enum, StrEnum
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,56 +15,80 @@ from numpy.typing import ArrayLike
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.network import Network
 from dsse_core.grid.nodes import PHASE, list_phases
+from dsse_core.grid.quantities import Quantity
 from dsse_core.limits import LEAST_USABLE_SIGMA, MOST_USABLE_SIGMA
 
 LONGEST_BUS = 18  # digits
 VIRTUAL_IS = "only an injection of exactly 0 can be virtual"
 
 
-class MeasurementKind(StrEnum):
-    """Flows and currents are measured at one end of a branch and are positive into the branch.
+class Place(Enum):
+    """Places of meters, which give the rows of C and Y: a node's own, or of Y that of the end of a branch."""
 
-    ``I_REAL``, ``I_IMAG``: Re and Im of the current that enters the network at all phases of a bus, 0 where legs stand
-    between phases only. They have no meter; they are virtual.
+    BUS = "at a bus, of its voltage"
+    INJECTION = "at a bus, of what enters the network"
+    BRANCH = "at one end of a branch, positive into the branch"
+
+
+class MeasurementKind(StrEnum):
+    """A quantity at a place. A new kind is one more line here, and the key of a scenario that states its sigma.
+
+    ``I_REAL``, ``I_IMAG``: of the current at all phases of a bus, 0 where legs stand between phases only; they have no
+    meter and are virtual.
     """
 
-    VM = "vm"
-    VA = "va"
-    P_INJECTION = "p_injection"
-    Q_INJECTION = "q_injection"
-    P_FLOW = "p_flow"
-    Q_FLOW = "q_flow"
-    CURRENT = "current"
-    I_REAL = "i_real"
-    I_IMAG = "i_imag"
+    quantity: Quantity
+    place: Place
+    table: str
+    """The key of ``[measurements]`` in a scenario; empty where no meter reads this."""
+    words: str
+
+    VM = "vm", Quantity.VM, Place.BUS, "voltage", "voltage magnitude"
+    VA = "va", Quantity.VA, Place.BUS, "angle", "voltage angle"
+    P_INJECTION = "p_injection", Quantity.P, Place.INJECTION, "injection", "active injection"
+    Q_INJECTION = "q_injection", Quantity.Q, Place.INJECTION, "injection", "reactive injection"
+    P_FLOW = "p_flow", Quantity.P, Place.BRANCH, "flow", "active flow"
+    Q_FLOW = "q_flow", Quantity.Q, Place.BRANCH, "flow", "reactive flow"
+    CURRENT = "current", Quantity.CURRENT, Place.BRANCH, "current", "current"
+    I_REAL = "i_real", Quantity.I_REAL, Place.INJECTION, "", "sum of currents, real"
+    I_IMAG = "i_imag", Quantity.I_IMAG, Place.INJECTION, "", "sum of currents, imaginary"
+
+    def __new__(cls, name: str, quantity: Quantity, place: Place, table: str, words: str) -> Self:
+        member = str.__new__(cls, name)
+        member._value_ = name
+        member.quantity, member.place, member.table, member.words = quantity, place, table, words
+        return member
 
     @property
     def of_branch(self) -> bool:
-        return self in _OF_BRANCH
+        return self.place is Place.BRANCH
 
     @property
     def of_injection(self) -> bool:
-        return self in _OF_INJECTION
+        return self.place is Place.INJECTION
 
     @property
     def of_voltage(self) -> bool:
-        return self in (MeasurementKind.VM, MeasurementKind.VA)
+        return self.quantity.is_of_voltage
+
+    @property
+    def of_power(self) -> bool:
+        return self.quantity.is_power
 
     @property
     def has_total(self) -> bool:
         """True for powers, whose phases add up, and for the current of a bus."""
-        return self in _HAVE_TOTAL
+        return self.quantity.adds_up
 
     @property
     def is_virtual(self) -> bool:
         """True for quantities that no meter reads."""
-        return self in _OF_BUS_CURRENT
+        return not self.table
 
-
-_OF_BRANCH = (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW, MeasurementKind.CURRENT)
-_OF_BUS_CURRENT = (MeasurementKind.I_REAL, MeasurementKind.I_IMAG)
-_OF_INJECTION = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION, *_OF_BUS_CURRENT)
-_HAVE_TOTAL = (*_OF_INJECTION, MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW)
+    @property
+    def needs_reference(self) -> bool:
+        """True where readings count from the angle reference of the grid."""
+        return self.quantity.turns and not self.is_virtual
 
 
 class Source(StrEnum):

@@ -1,9 +1,8 @@
 """h(x) and H(x): what meters would read in state x, and the derivatives, for every kind of meter.
 
-With the metered node's voltage ``u = C v`` and the metered current ``i = Y v + K conj(s / v)`` one formula serves all
-kinds: ``s = u conj(i)`` (P, Q of injections and of both branch ends), ``|i|``, ``Re i``, ``Im i``, ``|u|`` and
-``arg u``. Injections and flows differ only in the rows of ``Y`` (a node's or a port's). A total is the mean of the rows
-of its phases. K counts powers s that leave a node into branches which the network does not have.
+A meter reads a quantity (``grid.quantities``) of its node's voltage ``u = C v`` and of the metered current
+``i = Y v + K conj(s / v)``. Injections and flows differ only in the rows of ``Y`` (a node's or a port's). A total is
+the mean of the rows of its phases. K counts powers s that leave a node into branches which the network does not have.
 """
 
 from __future__ import annotations
@@ -16,12 +15,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.grid.admittance import Admittance
-from dsse_core.grid.measurement import MeasurementKind, Meter
-from dsse_core.grid.meter_table import KINDS, average, find_first, tabulate_meters
+from dsse_core.grid.measurement import Meter
+from dsse_core.grid.meter_table import OF_VOLTAGE, QUANTITY, average, find_first, tabulate_meters
 from dsse_core.grid.network import Network
-
-CURRENT_FLOOR = 1e-9  # p.u.; below it the derivative of |i| is undefined and taken as 0
-VOLTAGE_FLOOR = 1e-9  # p.u.; least divisor |u| of the derivatives of |u| and arg u
+from dsse_core.grid.quantities import CURRENT_FLOOR, VOLTAGE_FLOOR, Phasors, Quantity, QuantityRows
 
 
 @dataclass(frozen=True)
@@ -58,9 +55,9 @@ class MeasurementModel:
     """The measurement functions of ``meters``; ``x = [va; vm]``, shape (2 n_nodes,), rad and p.u.; then powers if some
     currents are ``beyond`` the network.
 
-    ``kinds``: (n_meas,). ``y`` (n_row, n_nodes) holds admittances, ``node`` (n_row,) the node of each row. ``other``
-    (n_row,): the node to which its voltage counts, -1 for the ground; None where that is so for all. ``of_meter``
-    (n_row,): the meter of each row, see ``MeterTable.spread``; None where each has one.
+    ``kinds``: (n_meas,), places in KINDS. ``y`` (n_row, n_nodes) holds admittances, ``node`` (n_row,) the node of each
+    row. ``other`` (n_row,): the node to which its voltage counts, -1 for the ground; None where that is so for all.
+    ``of_meter`` (n_row,): the meter of each row, see ``MeterTable.spread``; None where each has one.
     """
 
     kinds: np.ndarray
@@ -98,9 +95,7 @@ class MeasurementModel:
     def linearize_entries(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """h(x) and the stored entries of H(x), whose places are the same for every x.
 
-        Every meter's ``dh = Re(a dv)`` with ``a = of_u C + of_i Y``: ``ds = conj(i) du + u conj(di)`` and
-        ``Re(u conj(di)) = Re(conj(u) di)``, ``d|i| = Re(conj(i) di) / |i|``, ``d|u| = Re(conj(u) du) / |u|``,
-        ``d arg u = Im(conj(u) du) / |u|^2``; ``Im s = Re(-j s)``, ``Im i = Re(-j i)``. And ``dv/dva = j v``,
+        Every meter's ``dh = Re(of_u du + of_i di) = Re(a dv)`` with ``a = of_u C + of_i Y``. And ``dv/dva = j v``,
         ``dv/dvm = exp(j va)``.
         """
         u, i, vm, phase = self._phasors(x)
@@ -149,53 +144,18 @@ class MeasurementModel:
 
         places = self._pattern[0] if self._has_one_entry_each else np.arange(2 * self.y.nnz)
         y, floors = self.y, (CURRENT_FLOOR, VOLTAGE_FLOOR)
-        of_rows = self._reads, y.indptr, y.indices, y.data, self.at_node
+        of_rows = self._quantity, y.indptr, y.indices, y.data, self.at_node
         h, entries = derivatives.linearize(x, *of_rows, places if with_H else places[:0], floors)
         h = average(h, self.of_meter)
         return h, entries if self._has_one_entry_each or not with_H else self._join(entries)
 
-    @cached_property
-    def _reads(self) -> np.ndarray:
-        """The quantity that each row reads, (n_row,), by the numbers of ``derivatives``."""
-        reads = self._is_reactive.astype(np.int8)
-        for k, rows in enumerate(self._rows):
-            reads[rows] = 2 + k
-        return reads
-
     def read(self, u: np.ndarray, i: np.ndarray) -> np.ndarray:
         """Readings of the rows of ``u`` and ``i``, shape (n_row,) each."""
-        current, magnitude, angle, real, imaginary = self._rows
-        s = u * i.conj()
-        h: np.ndarray = np.where(self._is_reactive, s.imag, s.real)
-        if current.size:
-            h[current] = abs(i[current])
-        if magnitude.size:
-            h[magnitude] = abs(u[magnitude])
-        if angle.size:
-            h[angle] = np.angle(u[angle])
-        if real.size or imaginary.size:
-            h[real], h[imaginary] = i[real].real, i[imaginary].imag
-        return h
+        return self._rows.read(Phasors(u, i))
 
     def weigh(self, u: np.ndarray, i: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``of_u`` and ``of_i`` of every row, shape (n_row,), complex; see ``linearize_entries``."""
-        current, magnitude, angle, real, imaginary = self._rows
-        of_u, of_i = i.conj() * self._turn, u.conj() * self._turn_back
-        if current.size:
-            size = abs(i[current])
-            of_i[current] = np.where(size > CURRENT_FLOOR, of_u[current] / np.maximum(size, CURRENT_FLOOR), 0.0)
-            of_u[current] = 0.0
-        with np.errstate(invalid="ignore"):  # nan voltages have nan derivatives, with which an iteration ends
-            for rows in (magnitude, angle):
-                if rows.size:
-                    of_u[rows] = u[rows].conj() / np.maximum(abs(u[rows]), VOLTAGE_FLOOR)
-                    of_i[rows] = 0.0
-            if angle.size:
-                of_u[angle] *= -1j / np.maximum(abs(u[angle]), VOLTAGE_FLOOR)
-        for rows, turn in ((real, 1.0), (imaginary, -1j)):
-            if rows.size:
-                of_u[rows], of_i[rows] = 0.0, turn
-        return of_u, of_i
+        return self._rows.weigh(u, i)
 
     @cached_property
     def _pattern(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -236,40 +196,19 @@ class MeasurementModel:
         return u if self.other is None else u - np.where(self.other < 0, 0.0, v[self.other])
 
     @cached_property
-    def _rows(self) -> list[np.ndarray]:
-        """The rows of the meters that read no power: of |i|, |u|, arg u, Re i and Im i."""
-        return [np.flatnonzero(self._kinds_of_rows == kind) for kind in _NO_POWER]
+    def _rows(self) -> QuantityRows:
+        return QuantityRows(self._quantity)
+
+    @cached_property
+    def _quantity(self) -> np.ndarray:
+        """The quantity that each row reads, (n_row,)."""
+        quantity: np.ndarray = QUANTITY.astype(np.int8)[self.kinds]
+        return quantity if self.of_meter is None else quantity[self.of_meter]
 
     @cached_property
     def _angles(self) -> np.ndarray:
         """The meters of angles."""
-        return np.flatnonzero(self.kinds == MeasurementKind.VA)
-
-    @cached_property
-    def _kinds_of_rows(self) -> np.ndarray:
-        return self.kinds if self.of_meter is None else self.kinds[self.of_meter]
-
-    @cached_property
-    def _is_reactive(self) -> np.ndarray:
-        return np.isin(self._kinds_of_rows, (MeasurementKind.Q_INJECTION, MeasurementKind.Q_FLOW))
-
-    @cached_property
-    def _turn(self) -> np.ndarray:
-        """``Im s = Re(-j s)``: -j in the rows of Q, else 1."""
-        return np.where(self._is_reactive, -1j, 1.0)
-
-    @cached_property
-    def _turn_back(self) -> np.ndarray:
-        return self._turn.conj()
-
-
-_NO_POWER = (
-    MeasurementKind.CURRENT,
-    MeasurementKind.VM,
-    MeasurementKind.VA,
-    MeasurementKind.I_REAL,
-    MeasurementKind.I_IMAG,
-)
+        return np.flatnonzero(QUANTITY[self.kinds] == Quantity.VA)
 
 
 def stack_models(above: MeasurementModel, below: MeasurementModel) -> MeasurementModel:
@@ -306,14 +245,13 @@ def build_model_of_rows(
 
     Rows of voltages keep only the entry of their node, as 0: others would fill in the tableau.
     """
-    y = _without_currents(y, np.array([k.of_voltage for k in KINDS])[kind], node)
+    y = _without_currents(y, OF_VOLTAGE[kind], node)
     if other is not None:
         y = _with_entries(y, other)
     row = np.repeat(np.arange(len(kind)), np.diff(y.indptr))
     at_node = (y.indices == node[row]).astype(float)
-    kinds = np.array(KINDS, dtype="<U12")[kind]
     return MeasurementModel(
-        kinds=kinds if of_meter is None else kinds[find_first(of_meter)],
+        kinds=kind if of_meter is None else kind[find_first(of_meter)],
         node=node,
         y=y,
         row=row,

@@ -19,9 +19,13 @@ KINDS, SOURCES = tuple(MeasurementKind), tuple(Source)
 NO_BRANCH, UNKNOWN = -2, -1
 TOTAL = PHASES.index("")  # stands for all phases where buses have some
 UNKNOWN_BRANCH = "?"  # stands for the id of a branch that the network does not have
-_IS_OF_INJECTION = np.array([kind.of_injection for kind in KINDS])
-_IS_OF_BRANCH = np.array([kind.of_branch for kind in KINDS])
-_IS_OF_VOLTAGE = np.array([kind.of_voltage for kind in KINDS])
+QUANTITY = np.array([kind.quantity for kind in KINDS])  # of each kind, as the next
+IS_OF_PHASOR = np.array([kind.quantity.is_of_phasor for kind in KINDS])
+DEGREE = np.array([kind.quantity.degree for kind in KINDS])
+OF_INJECTION = np.array([kind.of_injection for kind in KINDS])
+OF_BRANCH = np.array([kind.of_branch for kind in KINDS])
+OF_VOLTAGE = np.array([kind.of_voltage for kind in KINDS])
+OF_POWER = np.array([kind.of_power for kind in KINDS])
 _HAS_TOTAL = np.array([kind.has_total for kind in KINDS])
 _IS_VIRTUAL = np.array([kind.is_virtual for kind in KINDS])
 LISTED = ("kind", "bus", "branch", "source", "phases")  # attributes of a meter
@@ -144,7 +148,7 @@ def each_fits(network: Network, meters: Records[Meter]) -> bool:
     """
     table = network.table
     kind, bus, branch = (meters.columns[key] for key in ("kind", "bus", "branch"))
-    if (table.rows.find(bus) < 0).any() or ((branch >= 0) != _IS_OF_BRANCH[kind]).any() or (branch == UNKNOWN).any():
+    if (table.rows.find(bus) < 0).any() or ((branch >= 0) != OF_BRANCH[kind]).any() or (branch == UNKNOWN).any():
         return False
     if not can_be_virtual(meters):
         return False
@@ -168,7 +172,7 @@ def _have_nodes(network: Network, meters: Records[Meter]) -> bool:
     is_there, is_total = np.where(at_bus, table.node, table.port) >= 0, table.phases[0] == TOTAL
     fits = np.where(is_total, _HAS_TOTAL[table.kind], is_there) & (is_alone | is_pair)
     if ungrounded := network.gauge.ungrounded:
-        fits &= ~(is_alone & _IS_OF_VOLTAGE[table.kind] & np.isin(meters.columns["bus"], ungrounded))
+        fits &= ~(is_alone & OF_VOLTAGE[table.kind] & np.isin(meters.columns["bus"], ungrounded))
     return bool((fits & (~must_be_virtual | is_total & find_virtual(meters))).all())
 
 
@@ -316,4 +320,4 @@ def find_virtual(meters: Sequence[Meter]) -> np.ndarray:
 def can_be_virtual(meters: Sequence[Meter]) -> bool:
     """True where all of ``meters`` that are virtual are of injections."""
     virtual = find_virtual(meters)
-    return not virtual.any() or bool(_IS_OF_INJECTION[number_kinds(meters)[virtual]].all())
+    return not virtual.any() or bool(OF_INJECTION[number_kinds(meters)[virtual]].all())

@@ -10,11 +10,9 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from scipy.sparse import csgraph
 
-from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.grid.measurement_model import MeasurementModel
+from dsse_core.grid.meter_table import OF_BRANCH
 from dsse_core.grid.network import Network
-
-_AT_BRANCHES = tuple(kind for kind in MeasurementKind if kind.of_branch)
 
 
 @dataclass(frozen=True)
@@ -123,14 +121,14 @@ def order_tableau(
 
 def _place_meters(place: np.ndarray, model: MeasurementModel) -> np.ndarray:
     """The place of each meter, (n_meas,), where the voltages of nodes have 3 ``place`` + 2."""
-    at_branches, first = np.isin(model.kinds, _AT_BRANCHES), model.first_rows
+    at_branches, first = OF_BRANCH[model.kinds], model.first_rows
     outermost = np.minimum.reduceat(place[model.y.indices], model.y.indptr[first]) if len(first) else first
     return np.where(at_branches, 3 * outermost + 1, 3 * place[model.node[first]])
 
 
 def _find_owners(place: np.ndarray, model: MeasurementModel, of_meter: np.ndarray) -> np.ndarray:
     """The place of the bus that each meter belongs to, (n_meas,): on a branch the bus that comes first."""
-    at_branch = np.isin(model.kinds, _AT_BRANCHES)
+    at_branch = OF_BRANCH[model.kinds]
     return np.where(at_branch, of_meter // 3, place[model.node[model.first_rows]])
 
 

@@ -12,10 +12,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.grid.boundary import Boundary, Kind, Variable
-from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.grid.measurement import Meter, Source
 from dsse_core.grid.measurement_model import MeasurementModel
-from dsse_core.grid.meter_table import find_virtual
+from dsse_core.grid.meter_table import DEGREE, IS_OF_PHASOR, QUANTITY, find_virtual
 from dsse_core.grid.partition import Area, Neighbour
+from dsse_core.grid.quantities import Quantity
 from dsse_core.linear.contributions import Contribution, FurtherRows, Method, least_squares
 
 NO_ROWS = np.zeros(0, dtype=np.int64)
@@ -98,24 +99,23 @@ class AreaMeasurements:
     @cached_property
     def currents(self) -> np.ndarray:
         """Rows of current magnitudes."""
-        return np.flatnonzero(self.kinds == MeasurementKind.CURRENT)
+        return np.flatnonzero(QUANTITY[self.kinds] == Quantity.CURRENT)
 
     @cached_property
     def angles(self) -> np.ndarray:
         """Rows of angle meters."""
-        return np.flatnonzero(self.kinds == MeasurementKind.VA)
+        return np.flatnonzero(QUANTITY[self.kinds] == Quantity.VA)
 
     @cached_property
-    def bus_currents(self) -> np.ndarray:
-        """Rows of currents of buses."""
-        return np.flatnonzero(np.isin(self.kinds, (MeasurementKind.I_REAL, MeasurementKind.I_IMAG)))
+    def current_parts(self) -> np.ndarray:
+        """Rows of Re i and Im i."""
+        return np.flatnonzero(IS_OF_PHASOR[self.kinds])
 
     @cached_property
     def degrees(self) -> np.ndarray:
         """The power k for which h grows as c^k when all voltages grow by c, shape (n_meas,)."""
-        kind = MeasurementKind
-        once = np.isin(self.kinds, (kind.VM, kind.CURRENT, kind.I_REAL, kind.I_IMAG))
-        return np.where(once, 1.0, np.where(self.kinds == MeasurementKind.VA, 0.0, 2.0))
+        degrees: np.ndarray = DEGREE[self.kinds].astype(float)
+        return degrees
 
     @cached_property
     def eliminated(self) -> dict[str, np.ndarray]:

@@ -13,6 +13,7 @@ from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.boundary import Kind
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.measurement_model import CurrentsBeyond, MeasurementModel, build_measurement_model
+from dsse_core.grid.meter_table import IS_OF_PHASOR, OF_INJECTION
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear import Backend, LinearArea, Matrix, Rows, make_linear, make_rows
@@ -22,7 +23,6 @@ from dsse_core.linear.contributions import FurtherRows
 from dsse_core.linear.whole_grid import GridSolver
 
 INJECTION = {Kind.P: MeasurementKind.P_INJECTION, Kind.Q: MeasurementKind.Q_INJECTION}
-CURRENTS = (MeasurementKind.I_REAL, MeasurementKind.I_IMAG)
 
 
 class AreaModel(AreaMeasurements):
@@ -135,7 +135,7 @@ def _count_currents(area: Area, model: MeasurementModel) -> MeasurementModel:
     if model.other is None or not powers:
         return model
     kinds = model.kinds[model.meters]
-    counts = np.isin(kinds, CURRENTS) | np.isin(kinds, list(INJECTION.values())) & (model.other >= 0)
+    counts = OF_INJECTION[kinds] & (IS_OF_PHASOR[kinds] | (model.other >= 0))
     node, place = np.array(powers).T
     row, power = np.nonzero(counts[:, None] & (model.node[:, None] == node))
     if not len(row):

@@ -159,14 +159,14 @@ def shift_of_own_rows(model: AreaMeasurements, rows: Rows, x: np.ndarray, H: Mat
     """Responses of the area's own and further rows, H of ``stack``, to growth and turn of all voltages, shape (:, 2).
 
     Growth scales all voltages of the area alike, and turn turns all its angles (but a reference). Powers respond with
-    2 s and 0 exactly, currents of buses with i and j i. Moving one bus alone would change flows by dv / z; the
+    2 s and 0 exactly, parts of currents with i and j i. Moving one bus alone would change flows by dv / z; the
     information about its voltage, a difference of such changes, would be left to rounding.
     """
     own = np.zeros((len(model.z), 2))
     own[:, 0], own[model.angles, 1] = model.degrees * rows.predict(x), 1.0
-    if model.bus_currents.size:
+    if model.current_parts.size:
         ahead = x + np.pi / 2 * (np.arange(len(x)) < model.n_nodes)  # where Re and Im read their derivatives by a turn
-        own[model.bus_currents, 1] = model.model.predict(ahead)[model.bus_currents]
+        own[model.current_parts, 1] = model.model.predict(ahead)[model.current_parts]
     B = np.concatenate([own, *(further.at(x).response for further in model.further)]) if model.further else own
     if model.fixed.size:
         B[:, 1] -= H[: len(B), model.fixed].sum(axis=1)

@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dsse_core.code_cache import compiled
-from dsse_core.grid.measurement_model import CURRENT_FLOOR
+from dsse_core.grid.quantities import CURRENT_FLOOR
 from dsse_core.radial.block import N_INVERSE, cut_round_off, modulus, scaled, solve_blocks, square_of, wrap
 from dsse_core.radial.root import N_KNOWN
 

@@ -8,26 +8,23 @@ import numpy as np
 
 from dsse_core.estimation.residuals import CRITICAL_REDUNDANCY
 from dsse_core.grid.columns import read_column
-from dsse_core.grid.measurement import MeasurementKind, Meter
-from dsse_core.grid.meter_table import KINDS, list_columns, list_ids, list_texts, number_kinds, tabulate_meters
+from dsse_core.grid.measurement import KIND_OF, Meter
+from dsse_core.grid.meter_table import (
+    KINDS,
+    QUANTITY,
+    list_columns,
+    list_ids,
+    list_texts,
+    number_kinds,
+    tabulate_meters,
+)
 from dsse_core.grid.network import Network
+from dsse_core.grid.quantities import Quantity
 from dsse_core.results.columns import MeterColumns
 from dsse_core.results.state import GridState, read_state
 from dsse_core.results.table import NO_SCAN, PHASE, ScanLabel, Table
 from dsse_core.results.units import base_a, base_kw
 
-KIND = MeasurementKind
-UNIT = {
-    KIND.VM: "pu",
-    KIND.VA: "deg",
-    KIND.P_INJECTION: "kw",
-    KIND.Q_INJECTION: "kvar",
-    KIND.P_FLOW: "kw",
-    KIND.Q_FLOW: "kvar",
-    KIND.CURRENT: "a",
-    KIND.I_REAL: "a",
-    KIND.I_IMAG: "a",
-}
 UNITS = ("pu", "deg", "kw", "kvar", "a")
 QUANTITIES = ("value", "sigma", "estimate", "residual")
 """Columns in the unit of each meter: ``value_kw`` and so on."""
@@ -55,7 +52,7 @@ def make_meter_table(
     reading has no redundancy, or is exact.
     """
     size, kinds = find_unit_sizes(state.network, meters), number_kinds(meters)
-    is_angle = kinds == KINDS.index(KIND.VA)
+    is_angle = QUANTITY[kinds] == Quantity.VA
     estimate = read_state(state, meters)
     residual = values - estimate
     residual[is_angle] = np.pi - (np.pi - residual[is_angle]) % (2 * np.pi)
@@ -90,12 +87,12 @@ def make_meter_table(
 
 def _has_unit(unit: str) -> np.ndarray:
     """True for each of KINDS that has ``unit``, (n_kind,)."""
-    return np.array([UNIT[kind] == unit for kind in KINDS])
+    return np.array([kind.quantity.unit == unit for kind in KINDS])
 
 
 def read_in_own_units(meters: Table) -> dict[str, np.ndarray]:
     """The columns QUANTITIES of a table of ``meters``, each value in the unit of its meter, (n_meas,)."""
-    of_unit = [np.array([UNIT[MeasurementKind(kind)] == unit for kind in meters.kind], dtype=bool) for unit in UNITS]
+    of_unit = [np.array([KIND_OF[kind].quantity.unit == unit for kind in meters.kind], dtype=bool) for unit in UNITS]
     found = {}
     for name in QUANTITIES:
         columns = [meters[f"{name}_{unit}"] for unit in UNITS]
@@ -123,6 +120,6 @@ def find_unit_sizes(network: Network, meters: Sequence[Meter]) -> np.ndarray:
     kw, n_phases = base_kw(network), tabulate_meters(network, meters).n_phases
     of_unit = {"pu": 1.0, "deg": 180 / np.pi, "kw": kw, "kvar": kw, "a": np.nan}
     kinds, row = number_kinds(meters), network.table.rows.find(read_column(meters, "bus", np.int64))
-    of_kind = np.array([of_unit[UNIT[kind]] for kind in KINDS])
+    of_kind = np.array([of_unit[kind.quantity.unit] for kind in KINDS])
     sizes: np.ndarray = n_phases * np.where(_has_unit("a")[kinds], base_a(network)[row], of_kind[kinds])
     return sizes

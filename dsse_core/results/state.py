@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dsse_core.grid.measurement import MeasurementKind, Meter
-from dsse_core.grid.meter_table import KINDS, average, tabulate_meters
+from dsse_core.grid.measurement import Meter
+from dsse_core.grid.meter_table import QUANTITY, average, tabulate_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Partition
+from dsse_core.grid.quantities import Phasors, QuantityRows
 from dsse_core.results.flows import BranchModel, Flows, build_branch_model, find_flows, find_injections
-
-KIND = MeasurementKind
 
 
 @dataclass(frozen=True, repr=False)
@@ -95,7 +94,7 @@ def read_state(state: GridState, meters: Sequence[Meter]) -> np.ndarray:
     """
     (table, of_meter), (s, i) = tabulate_meters(state.network, meters).spread(), state.branches.list_ports(state.flows)
     at_branch, port, node, other = table.branch >= 0, table.port, table.node, table.other
-    s, i = np.where(at_branch, s[port], state.injection[node]), np.where(at_branch, i[port], 0.0)
+    s = np.where(at_branch, s[port], state.injection[node])
     vm, va = state.vm[node], state.va[node]
     if other is not None and (between := other >= 0).any():
         v = state.vm * np.exp(1j * state.va)
@@ -103,10 +102,26 @@ def read_state(state: GridState, meters: Sequence[Meter]) -> np.ndarray:
         with np.errstate(invalid="ignore"):  # what is unknown stays so
             s = np.where(between, s * u / v[node], s)  # the same current
         vm, va = np.where(between, abs(u), vm), np.where(between, np.angle(u), va)
-    groups = (KIND.VM,), (KIND.VA,), (KIND.CURRENT,), (KIND.Q_FLOW, KIND.Q_INJECTION), (KIND.I_REAL,), (KIND.I_IMAG,)
-    chosen = [np.isin(table.kind, [KINDS.index(kind) for kind in group]) for group in groups]
-    with np.errstate(invalid="ignore"):
-        entering = (s / (vm * np.exp(1j * va))).conj() if any(of.any() for of in chosen[-2:]) else i
-    numbers = [vm, np.pi - (np.pi - va) % (2 * np.pi), abs(i), s.imag, entering.real, entering.imag]
-    read = np.select(chosen, numbers, s.real)
-    return average(read, of_meter)
+    phasors = _PhasorsOfState(s, i[port], at_branch, vm, va)
+    return average(QuantityRows(QUANTITY[table.kind]).read(phasors), of_meter)
+
+
+class _PhasorsOfState(Phasors):
+    """Powers, voltages and, at branches, currents that a state has in its own form, to the last bit."""
+
+    def __init__(self, s: np.ndarray, i: np.ndarray, at_branch: np.ndarray, vm: np.ndarray, va: np.ndarray) -> None:
+        self.s, self._i, self._at_branch, self._vm, self._va = s, i, at_branch, vm, va
+
+    def currents(self, rows: np.ndarray) -> np.ndarray:
+        at_branch, vm, va = self._at_branch[rows], self._vm[rows], self._va[rows]
+        if at_branch.all():
+            return np.asarray(self._i[rows])
+        with np.errstate(invalid="ignore"):
+            of_buses = (self.s[rows] / (vm * np.exp(1j * va))).conj()
+        return np.asarray(np.where(at_branch, self._i[rows], of_buses))
+
+    def magnitudes(self, rows: np.ndarray) -> np.ndarray:
+        return np.asarray(self._vm[rows])
+
+    def angles(self, rows: np.ndarray) -> np.ndarray:
+        return np.asarray(np.pi - (np.pi - self._va[rows]) % (2 * np.pi))

@@ -21,9 +21,9 @@ from coordinator.show.report.text import (
     tabulate_gaps,
 )
 from coordinator.watch.observe.view_text import write_summary
-from dsse_core.grid.measurement import MeasurementKind
+from dsse_core.grid.measurement import KIND_OF
 from dsse_core.printable import printable, shortened
-from dsse_core.results.meters import UNIT, read_in_own_units
+from dsse_core.results.meters import read_in_own_units
 from dsse_core.results.table import PHASE, Table
 
 LONGEST_NAME = 40
@@ -131,7 +131,7 @@ def make_run_page(result: RunResult, drawings: Sequence[Drawing], arguments: Seq
 def _in_own_units(meters: Table) -> Table:
     """The columns of OF_METERS, of quantities in the unit of each meter."""
     shared = {name: meters[name] for name in ("meter", "kind", "normalised_residual", "status")}
-    unit = [UNIT[MeasurementKind(kind)] for kind in meters.kind]
+    unit = [KIND_OF[kind].quantity.unit for kind in meters.kind]
     return Table("meters", shared | read_in_own_units(meters) | {"unit": unit})
 
 

@@ -21,7 +21,7 @@ from dsse_core.grid.partition import Partition
 from dsse_core.results.branches import find_loading, make_branch_table
 from dsse_core.results.buses import make_bus_table
 from dsse_core.results.flows import Flows, build_branch_model
-from dsse_core.results.meters import UNIT, find_unit_sizes
+from dsse_core.results.meters import find_unit_sizes
 from dsse_core.results.state import AreaVoltages, join_states
 from dsse_core.results.table import PHASE, Freshness, Table
 from dsse_core.results.totals import division_of
@@ -256,7 +256,7 @@ class GridTables:
             "bus": np.array([meter.bus for meter in all_meters], dtype=np.int64),
             "branch": tuple(meter.branch or "" for meter in all_meters),
             **({} if is_balanced else {"phase": tuple(meter.phases or PHASE for meter in all_meters)}),
-            "unit": tuple(UNIT[meter.kind] for meter in all_meters),
+            "unit": tuple(meter.kind.quantity.unit for meter in all_meters),
         }
         size = find_unit_sizes(self.scenario.network, listed)
         rows = _MeterRows(

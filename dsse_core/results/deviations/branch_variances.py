@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dsse_core.grid.measurement_model import CURRENT_FLOOR
+from dsse_core.grid.quantities import CURRENT_FLOOR
 from dsse_core.results.flows import BranchModel
 
 

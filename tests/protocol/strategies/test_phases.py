@@ -17,7 +17,7 @@ from coordinator.lab.strategy_check import check_with_strategy
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.estimation.state_limits import StateLimits
-from dsse_core.exchange.gateway_mistakes import MISTAKES, POWERS
+from dsse_core.exchange.gateway_mistakes import MISTAKES
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.network import Network
@@ -197,7 +197,7 @@ OTHERS = [pair for pair in product(("area1", "area2", "area3"), (-1.0, 1e-3, 1e3
 def test_a_gateway_that_is_wrong_as_a_whole_is_named_where_buses_have_phases(wrong: tuple[str, float]):
     area, factor = wrong
     readings = dict(make_telemetry(load_scenario("ieee13")).by_area)
-    readings[area] = [replace(m, value=factor * m.value) if m.meter.kind in POWERS else m for m in readings[area]]
+    readings[area] = [replace(m, value=factor * m.value) if m.meter.kind.of_power else m for m in readings[area]]
     found = find_wrong_gateways(readings)
     assert found.keys() == {area}
     assert MISTAKES[1 / factor] in found[area]

@@ -9,12 +9,12 @@ from typing import Any
 from agents.protocol.gateway_watch import GatewayWatch
 from agents.protocol.readings import Ages
 from coordinator.lab.deployment.split import area_files
-from dsse_core.exchange.gateway_mistakes import MISTAKES, POWERS, THRESHOLD
+from dsse_core.exchange.gateway_mistakes import MISTAKES, THRESHOLD
 from dsse_core.grid.measurement import Measurement
 from scenarios.scenario import load_scenario
 
 AREA = area_files(load_scenario("ieee33"), "run", ["tcp/127.0.0.1:7447"])[0]
-METERS = [meter for meter in AREA.meters if meter.kind in POWERS][:4]
+METERS = [meter for meter in AREA.meters if meter.kind.of_power][:4]
 
 
 @dataclass

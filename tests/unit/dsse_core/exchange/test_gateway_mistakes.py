@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from dsse_core.exchange.gateway_mistakes import MISTAKES, POWERS, THRESHOLD, GatewayTest, add_up, expect_loads
+from dsse_core.exchange.gateway_mistakes import MISTAKES, THRESHOLD, GatewayTest, add_up, expect_loads
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Branch, Bus, Network
 from dsse_core.grid.partition import Area, Neighbour
@@ -28,7 +28,7 @@ def whole_grid() -> Area:
 
 
 def is_power(m: Measurement) -> bool:
-    return m.meter.kind in POWERS and m.meter.source is not Source.VIRTUAL
+    return m.meter.kind.of_power and m.meter.source is not Source.VIRTUAL
 
 
 def multiply(factor: float, readings: list[Measurement] = READINGS) -> list[Measurement]:
