@@ -50,7 +50,7 @@ def write_day(path: Path, scans: int) -> int:
     scenario, rng = load_scenario(SCENARIO), np.random.default_rng(1)
     network, readings = scenario.network, make_telemetry(scenario).union
     meters, sigmas = read_meters_of(readings), read_column(readings, "sigma", float)
-    unit = [WRITTEN_IN[meter.kind] for meter in meters]
+    unit = [WRITTEN_IN[meter.kind.quantity] for meter in meters]
     sizes = np.array([unit_size(name, meter, network) for name, meter in zip(unit, meters, strict=True)])
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")

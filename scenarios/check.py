@@ -73,7 +73,7 @@ def _find_angle_problems(scenario: Scenario) -> Iterator[str]:
     """Angle meters count from the substation; readings of an area's own power flow would count from its local slack."""
     if scenario.telemetry.source != "area-power-flow":
         return
-    if buses := [str(m.bus) for m in scenario.meters if m.kind is MeasurementKind.VA]:
+    if buses := [str(m.bus) for m in scenario.meters if m.kind.needs_reference]:
         yield (
             f"measurements.angle: bus {', '.join(buses)} has an angle meter, but with telemetry.source "
             "'area-power-flow' the areas have no common angle to read; remove measurements.angle or use the "

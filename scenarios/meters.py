@@ -11,21 +11,21 @@ from functools import cached_property
 import numpy as np
 
 from dsse_core.grid.columns import Records
-from dsse_core.grid.measurement import LONGEST_BUS, MeasurementKind, Meter, Source
+from dsse_core.grid.measurement import LONGEST_BUS, MeasurementKind, Meter, MeterPlace, Source
 from dsse_core.grid.meter_table import KINDS, NO_BRANCH, SOURCES, find_virtual, make_meters, number_kinds
 from dsse_core.grid.network import Network
 from dsse_core.grid.nodes import list_phases
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
-from scenarios.files.scenario_file import MeasurementsTable, SigmaTable
+from scenarios.files.scenario_file import AngleMeterTable, MeasurementsTable, SigmaTable
 from scenarios.injections import Injections
 from scenarios.meter_places import TOTAL, Place, Sites, Spots, join_spots, make_totals
 
 KIND = MeasurementKind
 INJECTIONS = (KIND.P_INJECTION, KIND.Q_INJECTION)
 SUM_OF_CURRENTS = (KIND.I_REAL, KIND.I_IMAG)
-KINDS_AT_BUSES = {"voltage": (KIND.VM,), "angle": (KIND.VA,)}
-KINDS_ON_BRANCHES = {"flow": (KIND.P_FLOW, KIND.Q_FLOW), "current": (KIND.CURRENT,)}
-HAVE_TOTALS = ("flow", "injection")
+TABLES_AT_BUSES, TABLES_ON_BRANCHES = (
+    dict.fromkeys(kind.table for kind in KIND if kind.place is place) for place in (MeterPlace.BUS, MeterPlace.BRANCH)
+)
 LARGEST = 10**LONGEST_BUS
 
 
@@ -59,7 +59,7 @@ class SigmaRule:
             if kind in self.absolute:
                 sigma[of_kind] = self.absolute[kind]
             else:
-                least = 0.0 if kind is KIND.VM else self.floor
+                least = 0.0 if kind.of_voltage else self.floor
                 sigma[of_kind] = np.maximum(self.relative[kind] * size[of_kind], least)
         sigma[virtual] = 0.0
         return sigma
@@ -67,18 +67,15 @@ class SigmaRule:
 
 def build_sigma_rule(table: MeasurementsTable, network: Network) -> SigmaRule:
     """The sigmas of a scenario file, in p.u. and rad."""
-    by_kind: dict[MeasurementKind, SigmaTable | None] = {
-        KIND.VM: table.voltage,
-        KIND.P_FLOW: table.flow,
-        KIND.Q_FLOW: table.flow,
-        KIND.P_INJECTION: table.injection,
-        KIND.Q_INJECTION: table.injection,
-        KIND.CURRENT: table.current,
-    }
-    relative = {k: t.sigma_percent / 100 for k, t in by_kind.items() if t and t.sigma_percent is not None}
-    absolute = {k: t.sigma_pu for k, t in by_kind.items() if t and t.sigma_pu is not None}
-    if table.angle:
-        absolute[KIND.VA] = math.radians(table.angle.sigma_deg)
+    relative, absolute = dict[MeasurementKind, float](), dict[MeasurementKind, float]()
+    for kind in KIND:
+        match getattr(table, kind.table) if kind.table else None:
+            case AngleMeterTable(sigma_deg=sigma_deg):
+                absolute[kind] = math.radians(sigma_deg)
+            case SigmaTable(sigma_percent=None, sigma_pu=float(sigma)):
+                absolute[kind] = sigma
+            case SigmaTable(sigma_percent=float(percent)):
+                relative[kind] = percent / 100
     return SigmaRule(relative, absolute, _floor_of(table, network))
 
 
@@ -160,8 +157,8 @@ class _Places:
         return is_ungrounded & is_listed
 
     def build(self) -> Records[Meter]:
-        groups = [_Group(kinds, self._at(key)) for key, kinds in KINDS_AT_BUSES.items()]
-        groups += [_Group(kinds, self._on(key), of_branch=True) for key, kinds in KINDS_ON_BRANCHES.items()]
+        groups = [_Group(KIND.of_table(key), self._at(key)) for key in TABLES_AT_BUSES]
+        groups += [_Group(KIND.of_table(key), self._on(key), of_branch=True) for key in TABLES_ON_BRANCHES]
         groups += [_Group(INJECTIONS, self._find_injections())]
         groups += [_Group(INJECTIONS, self.buses.spots_of(self.virtual), source=Source.VIRTUAL)]
         groups += [_Group(SUM_OF_CURRENTS, make_totals(np.flatnonzero(self.ungrounded)), source=Source.VIRTUAL)]
@@ -176,7 +173,7 @@ class _Places:
         return listed
 
     def _sites_of(self, key: str) -> Sites:
-        return self.branches if key in KINDS_ON_BRANCHES else self.buses
+        return self.branches if key in TABLES_ON_BRANCHES else self.buses
 
     def _at(self, key: str) -> Spots:
         """The spots of a key with buses, between phases at whole buses in parts without ground."""
@@ -208,19 +205,21 @@ class _Places:
 
     def find_problems(self) -> Iterator[str]:
         """Problems of all keys, as text."""
-        for key in ("voltage", "angle", "injection"):
+        for key in (*TABLES_AT_BUSES, "injection"):
             yield from self._find_problems_of(key)
         yield from self._find_zero_injection_problems()
-        for key in KINDS_ON_BRANCHES:
+        for key in TABLES_ON_BRANCHES:
             yield from self._find_problems_of(key)
 
     def _find_problems_of(self, key: str) -> Iterator[str]:
         sites, listed = self._sites_of(key), self._listed(key) or ()
-        path, most = f"measurements.{key}.{sites.key}", 1 if key in KINDS_ON_BRANCHES else 2
+        path, most = f"measurements.{key}.{sites.key}", 1 if key in TABLES_ON_BRANCHES else 2
         doubtful = [(place, n) for place, n in Counter(listed).items() if n > 1 or place not in sites.row_of]
         for place, count in sorted(doubtful, key=_order):
             problem = self._find_missing(sites, place)
-            problem = problem or sites.find_problem_of_phases(place, most, has_total=key in HAVE_TOTALS)
+            problem = problem or sites.find_problem_of_phases(
+                place, most, has_total=all(kind.has_total for kind in KIND.of_table(key))
+            )
             if key == "injection" and not problem:
                 problem = self._find_leg_problem(place)
             if problem:

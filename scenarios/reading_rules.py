@@ -12,20 +12,11 @@ from dsse_core.grid.partition import Partition
 from dsse_core.reading_rules import ANYBODY, LEADER, NO_RULE, KindRule, MetersOf, ReadingRules
 from scenarios.files.scenario_file import AngleMeterTable, GatewayTable, ScenarioFile, SigmaTable
 
-KIND = MeasurementKind
-KINDS_OF_TABLE = {
-    "voltage": (KIND.VM,),
-    "angle": (KIND.VA,),
-    "flow": (KIND.P_FLOW, KIND.Q_FLOW),
-    "injection": (KIND.P_INJECTION, KIND.Q_INJECTION),
-    "current": (KIND.CURRENT,),
-}
-
 
 def build_kind_rules(file: ScenarioFile) -> dict[MeasurementKind, KindRule]:
     """Kind of meter -> its rule, where it has one."""
     rules = {key: _rule_of(getattr(file.measurements, key)) for key in file.measurements.kinds}
-    return {kind: rule for key, rule in rules.items() if rule != NO_RULE for kind in KINDS_OF_TABLE[key]}
+    return {kind: rule for key, rule in rules.items() if rule != NO_RULE for kind in MeasurementKind.of_table(key)}
 
 
 def _rule_of(table: SigmaTable | AngleMeterTable) -> KindRule:

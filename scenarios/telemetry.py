@@ -11,9 +11,10 @@ import numpy as np
 from dsse_core.errors import InvalidInputError
 from dsse_core.exchange.boundary_load import boundary_loads, scheduled_load_messages
 from dsse_core.grid.columns import Records, read_column
-from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.grid.meter_table import KINDS, NO_BRANCH, find_virtual, list_named_phases, number_kinds
+from dsse_core.grid.measurement import Measurement, Meter, Source
+from dsse_core.grid.meter_table import KINDS, NO_BRANCH, QUANTITY, find_virtual, list_named_phases, number_kinds
 from dsse_core.grid.network import Network
+from dsse_core.grid.quantities import Quantity
 from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
 from scenarios.crc32 import sum_up, write_bytes
@@ -176,7 +177,7 @@ def _read(scenario: Scenario, scan: int, exact: np.ndarray, size: np.ndarray) ->
     if gross := scenario.telemetry.gross_errors:
         sigmas_off += np.array([gross.get(meter.id, 0.0) for meter in meters])
     values = exact + sigmas_off * sigma
-    values[(number_kinds(meters) == KINDS.index(MeasurementKind.CURRENT)) & (values < 0)] = 0.0
+    values[(QUANTITY[number_kinds(meters)] == Quantity.CURRENT) & (values < 0)] = 0.0
     values[find_virtual(meters)] = 0.0
     return values, sigma
 

@@ -17,7 +17,7 @@ from agents.strategies.start import start_state
 from dsse_core.exchange.consensus_admm import compute_weight, pull, solve_damped_step
 from dsse_core.gauss_newton import MOST_STEPS, NO_STEP
 from dsse_core.grid.boundary import boundary_of
-from dsse_core.grid.measurement import Measurement, MeasurementKind
+from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BEYOND_REASON, EXACT_SIGMA
@@ -96,7 +96,7 @@ class Admm(Strategy):
 
     @property
     def _has_own_angle(self) -> bool:
-        angle_meters = any(m.meter.kind is MeasurementKind.VA for m in self._measurements)
+        angle_meters = any(m.meter.kind.needs_reference for m in self._measurements)
         return self._area.reference is not None or angle_meters
 
     def _take_measurements(self, known: Knowledge) -> None:

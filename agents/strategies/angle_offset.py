@@ -87,7 +87,7 @@ class AngleOffset(Strategy):
         boundary = area.boundary_buses
         meters = [m for m in own if not (m.kind.of_injection and m.bus in boundary)]
         if not area.is_reference:
-            meters = [m for m in meters if m.kind is not kind.VA]
+            meters = [m for m in meters if not m.kind.needs_reference]
         injection = (kind.P_INJECTION, kind.Q_INJECTION)
         meters += [Meter(k, bus, source=Source.PSEUDO) for bus in boundary for k in injection]
         if not any(m.kind is kind.VM for m in meters):
@@ -165,7 +165,7 @@ class AngleOffset(Strategy):
         boundary = set(self._area.boundary_buses)
         chosen = [m for m in known.measurements if not (m.meter.kind.of_injection and m.meter.bus in boundary)]
         if not self._area.is_reference:
-            chosen = [m for m in chosen if m.meter.kind is not MeasurementKind.VA]
+            chosen = [m for m in chosen if not m.meter.kind.needs_reference]
         telemetered = self._content.generation == "telemetered"
         own = measured_net_loads(self._area, known.measurements) if telemetered else {}
         for bus, beyond in loads.items():

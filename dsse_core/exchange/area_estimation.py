@@ -287,7 +287,7 @@ class AreaEstimation:
         return Totals(
             **numbers,
             areas=1,
-            referenced=self.area.is_at_reference or bool(model.angles.size),
+            referenced=self.area.is_at_reference or model.reads_reference,
             silent=tuple(sorted(self._silent)),
             stale=(name,) if self._is_stale else (),
             unobservable=_name_nodes(self.area.network, [node for node in self.unobservable if self._is_own[node]]),

@@ -22,7 +22,7 @@ LONGEST_BUS = 18  # digits
 VIRTUAL_IS = "only an injection of exactly 0 can be virtual"
 
 
-class Place(Enum):
+class MeterPlace(Enum):
     """Places of meters, which give the rows of C and Y: a node's own, or of Y that of the end of a branch."""
 
     BUS = "at a bus, of its voltage"
@@ -38,34 +38,39 @@ class MeasurementKind(StrEnum):
     """
 
     quantity: Quantity
-    place: Place
+    place: MeterPlace
     table: str
     """The key of ``[measurements]`` in a scenario; empty where no meter reads this."""
     words: str
 
-    VM = "vm", Quantity.VM, Place.BUS, "voltage", "voltage magnitude"
-    VA = "va", Quantity.VA, Place.BUS, "angle", "voltage angle"
-    P_INJECTION = "p_injection", Quantity.P, Place.INJECTION, "injection", "active injection"
-    Q_INJECTION = "q_injection", Quantity.Q, Place.INJECTION, "injection", "reactive injection"
-    P_FLOW = "p_flow", Quantity.P, Place.BRANCH, "flow", "active flow"
-    Q_FLOW = "q_flow", Quantity.Q, Place.BRANCH, "flow", "reactive flow"
-    CURRENT = "current", Quantity.CURRENT, Place.BRANCH, "current", "current"
-    I_REAL = "i_real", Quantity.I_REAL, Place.INJECTION, "", "sum of currents, real"
-    I_IMAG = "i_imag", Quantity.I_IMAG, Place.INJECTION, "", "sum of currents, imaginary"
+    VM = "vm", Quantity.VM, MeterPlace.BUS, "voltage", "voltage magnitude"
+    VA = "va", Quantity.VA, MeterPlace.BUS, "angle", "voltage angle"
+    P_INJECTION = "p_injection", Quantity.P, MeterPlace.INJECTION, "injection", "active injection"
+    Q_INJECTION = "q_injection", Quantity.Q, MeterPlace.INJECTION, "injection", "reactive injection"
+    P_FLOW = "p_flow", Quantity.P, MeterPlace.BRANCH, "flow", "active flow"
+    Q_FLOW = "q_flow", Quantity.Q, MeterPlace.BRANCH, "flow", "reactive flow"
+    CURRENT = "current", Quantity.CURRENT, MeterPlace.BRANCH, "current", "current"
+    I_REAL = "i_real", Quantity.I_REAL, MeterPlace.INJECTION, "", "sum of currents, real"
+    I_IMAG = "i_imag", Quantity.I_IMAG, MeterPlace.INJECTION, "", "sum of currents, imaginary"
 
-    def __new__(cls, name: str, quantity: Quantity, place: Place, table: str, words: str) -> Self:
+    def __new__(cls, name: str, quantity: Quantity, place: MeterPlace, table: str, words: str) -> Self:
         member = str.__new__(cls, name)
         member._value_ = name
         member.quantity, member.place, member.table, member.words = quantity, place, table, words
         return member
 
+    @classmethod
+    def of_table(cls, table: str) -> tuple[MeasurementKind, ...]:
+        """The kinds of the meters that ``table`` states."""
+        return tuple(kind for kind in cls if kind.table == table)
+
     @property
     def of_branch(self) -> bool:
-        return self.place is Place.BRANCH
+        return self.place is MeterPlace.BRANCH
 
     @property
     def of_injection(self) -> bool:
-        return self.place is Place.INJECTION
+        return self.place is MeterPlace.INJECTION
 
     @property
     def of_voltage(self) -> bool:

@@ -20,8 +20,8 @@ VOLTAGE_FLOOR = 1e-9  # p.u.; least divisor |u| of the derivatives of |u| and ar
 class Quantity(IntEnum):
     """Re s, Im s, |i|, |u|, arg u, Re i and Im i, where ``s = u conj(i)``. ``grid.derivatives`` knows the numbers.
 
-    A new one needs h and dh here (``READ``, ``WEIGH``) and compiled (``derivatives.read``), and its units and limits in
-    ``scenarios/files/readings/units.py``.
+    A new one needs h and dh here (``_READ``, ``_WEIGH``) and compiled (``derivatives.read``), and its units and limits
+    in ``scenarios/files/readings/units.py``.
     """
 
     degree: int
@@ -97,9 +97,9 @@ class Phasors:
         return angle
 
 
-Read: TypeAlias = Callable[[Phasors, np.ndarray], np.ndarray]
+_Read: TypeAlias = Callable[[Phasors, np.ndarray], np.ndarray]
 """Readings h of some rows, by their numbers."""
-Weigh: TypeAlias = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray | complex, np.ndarray | complex]]
+_Weigh: TypeAlias = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray | complex, np.ndarray | complex]]
 """``of_u`` and ``of_i`` of rows with voltages u and currents i, in ``dh = Re(of_u du + of_i di)``."""
 
 
@@ -121,14 +121,14 @@ def _weigh_angle(u: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, complex]:
 
 
 # Powers are most rows; ``QuantityRows`` reads and weighs them all at once.
-READ: dict[Quantity, Read] = {
+_READ: dict[Quantity, _Read] = {
     Quantity.CURRENT: lambda phasors, rows: abs(phasors.currents(rows)),
     Quantity.VM: lambda phasors, rows: phasors.magnitudes(rows),
     Quantity.VA: lambda phasors, rows: phasors.angles(rows),
     Quantity.I_REAL: lambda phasors, rows: phasors.currents(rows).real,
     Quantity.I_IMAG: lambda phasors, rows: phasors.currents(rows).imag,
 }
-WEIGH: dict[Quantity, Weigh] = {
+_WEIGH: dict[Quantity, _Weigh] = {
     Quantity.CURRENT: _weigh_current,
     Quantity.VM: _weigh_magnitude,
     Quantity.VA: _weigh_angle,
@@ -142,7 +142,7 @@ class QuantityRows:
 
     def __init__(self, quantity: np.ndarray) -> None:
         self._is_reactive = quantity == int(Quantity.Q)
-        rows = ((READ[q], WEIGH[q], np.flatnonzero(quantity == int(q))) for q in READ)
+        rows = ((_READ[q], _WEIGH[q], np.flatnonzero(quantity == int(q))) for q in _READ)
         self._no_power = [of_quantity for of_quantity in rows if of_quantity[-1].size]
 
     def read(self, phasors: Phasors) -> np.ndarray:

@@ -107,6 +107,11 @@ class AreaMeasurements:
         return np.flatnonzero(QUANTITY[self.kinds] == Quantity.VA)
 
     @cached_property
+    def reads_reference(self) -> bool:
+        """True where a meter's readings count from the angle reference of the grid."""
+        return any(meter.kind.needs_reference for meter in self.meters)
+
+    @cached_property
     def current_parts(self) -> np.ndarray:
         """Rows of Re i and Im i."""
         return np.flatnonzero(IS_OF_PHASOR[self.kinds])

@@ -91,7 +91,7 @@ def place_meters(kind, bus, branch, number, parent, child, columns):
         column, i = columns[0, kind[m]], at
         if column < 0:
             column, i = columns[1 if at == above else 2, kind[m]], below
-            fits = at >= 0 and at in (above, below)
+            fits = at >= 0 and at in (above, below) and column >= 0
         else:
             fits = at >= 0 and branch[m] == -2
         fit = fit and fits and not taken[10 * i + column]

@@ -11,22 +11,28 @@ import numpy as np
 
 from dsse_core import compiling
 from dsse_core.errors import InvalidInputError
-from dsse_core.grid.measurement import MeasurementKind, Meter, find_meter_problems
+from dsse_core.grid.measurement import Meter, MeterPlace, find_meter_problems
 from dsse_core.grid.meter_table import KINDS, can_be_virtual, tabulate_meters
 from dsse_core.grid.network import Network
+from dsse_core.grid.quantities import Quantity
 from dsse_core.grid.radial_order import describe_no_tree
 from dsse_core.observability import check_observable, find_reference
 
 # Columns of the readings of a bus: its own, then those of the branch to its parent, at the parent's end and its own.
 SLOTS_AT_BUS = {
-    MeasurementKind.VA: 0,
-    MeasurementKind.VM: 1,
-    MeasurementKind.P_INJECTION: 2,
-    MeasurementKind.Q_INJECTION: 3,
+    (MeterPlace.BUS, Quantity.VA): 0,
+    (MeterPlace.BUS, Quantity.VM): 1,
+    (MeterPlace.INJECTION, Quantity.P): 2,
+    (MeterPlace.INJECTION, Quantity.Q): 3,
 }
-SLOTS_AT_PARENT = {MeasurementKind.P_FLOW: 4, MeasurementKind.Q_FLOW: 5, MeasurementKind.CURRENT: 6}
-SLOTS_AT_CHILD = {MeasurementKind.P_FLOW: 7, MeasurementKind.Q_FLOW: 8, MeasurementKind.CURRENT: 9}
-_COLUMNS = np.array([[slots.get(k, -1) for k in KINDS] for slots in (SLOTS_AT_BUS, SLOTS_AT_PARENT, SLOTS_AT_CHILD)])
+SLOTS_AT_PARENT = {(MeterPlace.BRANCH, q): 4 + k for k, q in enumerate((Quantity.P, Quantity.Q, Quantity.CURRENT))}
+SLOTS_AT_CHILD = {at: 3 + slot for at, slot in SLOTS_AT_PARENT.items()}
+_COLUMNS = np.array(
+    [
+        [slots.get((kind.place, kind.quantity), -1) for kind in KINDS]
+        for slots in (SLOTS_AT_BUS, SLOTS_AT_PARENT, SLOTS_AT_CHILD)
+    ]
+)
 N_SLOT = 10
 WITH_PHASES = "buses have phases, and compiled passes know one voltage a bus"
 N_VOLTAGE_SLOT = 2  # the first slots of a bus read its voltage: angle, magnitude
@@ -116,7 +122,10 @@ def plan_tree(network: Network, meters: Sequence[Meter], root: int) -> tuple[Rad
     if why := describe_no_tree(len(table.bus_id), n_branch, len(found[0]), root):
         return why
     if not (fit and can_be_virtual(meters)):
-        raise InvalidInputError(f"meters of network {network.name!r}", list(find_meter_problems(network, meters)))
+        if problems := list(find_meter_problems(network, meters)):
+            raise InvalidInputError(f"meters of network {network.name!r}", problems)
+        without = {KINDS[k] for k in np.unique(read[0]).tolist() if (_COLUMNS[:, k] < 0).all()}
+        return f"compiled passes have no slot for meters of {', '.join(sorted(without))}"
     return RadialPlan(network, meters, root, *found), stuck
 
 

@@ -275,7 +275,7 @@ class MeasurementsTable(Table):
     @property
     def kinds(self) -> tuple[str, ...]:
         """The tables of meters that are given."""
-        return tuple(key for key in ("voltage", "angle", "flow", "injection", "current") if getattr(self, key))
+        return tuple(key for key in type(self).model_fields if isinstance(getattr(self, key), IntervalTable))
 
 
 class GrossErrorTable(Table):

@@ -25,16 +25,6 @@ from dsse_core.grid.nodes import PHASES
 from dsse_core.results.meters import REMOVED, read_in_own_units
 from dsse_core.results.table import Table
 
-KIND = MeasurementKind
-WORDS = {
-    KIND.VM: "voltage\nmagnitude",
-    KIND.VA: "voltage\nangle",
-    KIND.P_INJECTION: "active\ninjection",
-    KIND.Q_INJECTION: "reactive\ninjection",
-    KIND.P_FLOW: "active\nflow",
-    KIND.Q_FLOW: "reactive\nflow",
-    KIND.CURRENT: "current",
-}
 MAX_NAMED = 8  # removed meters
 SPREAD = 0.8  # part of a kind's width that its meters take
 
@@ -44,7 +34,7 @@ def draw_residuals(outcome: RunOutcome) -> Drawing:
     meters, limit = outcome.meters, outcome.scenario.operating_limits.most_residual
     values, normalised = find_residuals(meters)
     removed = np.array([status == REMOVED for status in meters.status], dtype=bool)
-    kinds = [kind for kind in WORDS if kind in set(meters.kind)]
+    kinds = [kind for kind in MeasurementKind if kind in set(meters.kind) and not kind.is_virtual]
     figure, (axis,) = new_figure(4.2)
     x = _find_places(meters, kinds)
     used, style = np.flatnonzero(~removed), dict[str, Any](color=BLUE, marker=".", markersize=6)
@@ -63,7 +53,7 @@ def draw_residuals(outcome: RunOutcome) -> Drawing:
         axis.axhline(limit, color=PURPLE, linestyle="dashed", linewidth=1.5, label=f"limit, {limit:g}")
     for edge in range(1, len(kinds)):
         axis.axvline(edge - 0.5, color=GREY, linewidth=0.6, alpha=0.5)
-    axis.set_xticks(range(len(kinds)), [WORDS[kind] for kind in kinds], fontsize="small")
+    axis.set_xticks(range(len(kinds)), [kind.words.replace(" ", "\n") for kind in kinds], fontsize="small")
     axis.set_xlim(-0.5, len(kinds) - 0.5)
     by = "its standard deviation" if normalised else "the meter's standard deviation"
     axis.set_ylabel("normalised residual" if normalised else "residual by standard deviation of the meter")
@@ -83,7 +73,7 @@ def find_residuals(meters: Table) -> tuple[np.ndarray, bool]:
     return abs(own["residual"]) / sigma, False
 
 
-def _find_places(meters: Table, kinds: list[KIND]) -> np.ndarray:
+def _find_places(meters: Table, kinds: list[MeasurementKind]) -> np.ndarray:
     """Positions of meters on the axis, (n_meas,): side by side within the width of their kind, in the table's order."""
     places = np.full(len(meters), np.nan)
     for number, kind in enumerate(kinds):

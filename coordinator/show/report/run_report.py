@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from coordinator.lab.evaluation.result import RunResult
-from coordinator.show.figures.residuals_figure import WORDS
 from coordinator.show.figures.style import Drawing
 from coordinator.show.report.page import MAX_ROWS, Page, PageTable, write_page
 from coordinator.show.report.phase_rows import find_first_rows, show_by_site
@@ -21,14 +20,14 @@ from coordinator.show.report.text import (
     tabulate_gaps,
 )
 from coordinator.watch.observe.view_text import write_summary
-from dsse_core.grid.measurement import KIND_OF
+from dsse_core.grid.measurement import KIND_OF, MeasurementKind
 from dsse_core.printable import printable, shortened
 from dsse_core.results.meters import read_in_own_units
 from dsse_core.results.table import PHASE, Table
 
 LONGEST_NAME = 40
 WORDS_OF: dict[str, dict[str, str]] = {
-    "kind": {str(kind): words.replace("\n", " ") for kind, words in WORDS.items()},
+    "kind": {str(kind): kind.words for kind in MeasurementKind},
     "unit": {"pu": "p.u.", "deg": "degrees", "kw": "kW", "kvar": "kvar", "a": "A"},
     "phase": {PHASE: ""},  # of a balanced network
 }

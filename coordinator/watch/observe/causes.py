@@ -20,7 +20,7 @@ from agents.protocol.quality import GOOD
 from coordinator.watch.observe.notes import BAD_DATA, Noted
 from coordinator.watch.observe.summary import Summary
 from coordinator.watch.observe.view import OVER_S, AreaView, View
-from dsse_core.grid.measurement import MeasurementKind, read_meter_id
+from dsse_core.grid.measurement import read_meter_id
 from dsse_core.grid.nodes import PHASE
 from dsse_core.printable import listed, printable, shortened
 
@@ -220,15 +220,6 @@ DISAGREES = 1e-6  # p.u. and rad, between final voltages of the same scan
 EPOCH_S = 1e8  # times below count from the begin of a run
 GATEWAYS = ("plant", "gateway")  # roles of the senders of readings
 FILE_CURE = "replace {}.toml by that of the newest `dsse split`"
-NAMES = {
-    MeasurementKind.VM: "voltmeter",
-    MeasurementKind.VA: "angle meter",
-    MeasurementKind.P_INJECTION: "active power meter",
-    MeasurementKind.Q_INJECTION: "reactive power meter",
-    MeasurementKind.P_FLOW: "active power meter",
-    MeasurementKind.Q_FLOW: "reactive power meter",
-    MeasurementKind.CURRENT: "ammeter",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -667,7 +658,7 @@ def _describe_meter(meter: str) -> str:
     if (read := read_meter_id(meter)) is None:
         return f"the meter {meter}"
     branch = f" of branch {read.branch}" if read.branch else ""
-    return f"the {NAMES[read.kind]}{branch} at bus {read.at} ({meter})"
+    return f"the {read.kind.quantity.instrument}{branch} at bus {read.at} ({meter})"
 
 
 def _find_places(meters: Iterable[str], buses: Iterable[int] = ()) -> dict[str, Any]:

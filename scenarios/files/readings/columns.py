@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from dsse_core.grid.columns import Records, find_distinct, rows_of_texts
-from dsse_core.grid.measurement import LONGEST_BUS, Measurement, MeasurementKind, Meter
+from dsse_core.grid.measurement import LONGEST_BUS, Measurement, Meter
 from dsse_core.grid.meter_table import KINDS, each_fits, make_meters, number_meters, read_pair
 from dsse_core.grid.network import Network
 from dsse_core.grid.nodes import list_phases
@@ -24,7 +24,7 @@ from scenarios.files.readings.rows import ReadingRows, find_leg_problems
 from scenarios.files.readings.units import RANGES, UNITS, power_bases, sizes_of
 
 UNKNOWN = -1
-KIND = MeasurementKind
+RANGES_OF_KINDS = [RANGES[kind.quantity] for kind in KINDS]
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,7 @@ def _read_numbers(cells: Sequence[bytes]) -> np.ndarray:
 def _find_sizes(units: Sequence[str], unit: np.ndarray, meters: Records[Meter], network: Network) -> np.ndarray | None:
     """Size of the ``unit`` of each of ``meters`` in p.u. or rad, (n,); None where a meter cannot be in its unit."""
     kind = meters.columns["kind"]
-    if not np.array([[one in UNITS[name] for one in KIND] for name in units])[unit, kind].all():
+    if not np.array([[kind.quantity in UNITS[name] for kind in KINDS] for name in units])[unit, kind].all():
         return None
     sizes = np.empty(len(unit))
     for k, name in enumerate(units):
@@ -267,8 +267,8 @@ def _are_possible(meters: Records[Meter], values: np.ndarray, sigmas: np.ndarray
     if not (np.isfinite(values).all() and (sigmas >= SMALLEST_SIGMA).all() and (sigmas <= LARGEST_SIGMA).all()):
         return False
     kind = meters.columns["kind"]
-    sizes = np.array([math.nan if size is None else size for _, size in map(RANGES.__getitem__, KIND)])[kind]
+    sizes = np.array([math.nan if size is None else size for _, size in RANGES_OF_KINDS])[kind]
     sizes = np.where(np.isnan(sizes), power_bases(meters, network), sizes)
-    least, most = np.array([(limits.least, limits.most) for limits, _ in map(RANGES.__getitem__, KIND)]).T
+    least, most = np.array([(limits.least, limits.most) for limits, _ in RANGES_OF_KINDS]).T
     read = values * sizes
     return bool(((least[kind] <= read) & (read <= most[kind])).all())

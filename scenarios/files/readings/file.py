@@ -141,12 +141,12 @@ def _read(text: str, source: str, network: Network, *, takes_scans: bool) -> Sou
 
 def save_readings(path: Path, network: Network, readings: Sequence[Measurement]) -> None:
     """Write a readings file that ``load_readings`` reads back: p.u. for voltages, else MW, Mvar, degrees, ampere."""
-    units = [unit for unit in UNITS if any(WRITTEN_IN[m.meter.kind] == unit for m in readings)]
+    units = [unit for unit in UNITS if any(WRITTEN_IN[m.meter.kind.quantity] == unit for m in readings)]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["meter", *(f"{column}_{unit}" for unit in units for column in ("value", "sigma"))])
         for m in readings:
-            unit = WRITTEN_IN[m.meter.kind]
+            unit = WRITTEN_IN[m.meter.kind.quantity]
             size = unit_size(unit, m.meter, network)
             pair = [repr(float(m.value / size)), repr(float(m.sigma / size))]  # exact
             writer.writerow([m.meter.id, *(cell for u in units for cell in (pair if u == unit else ["", ""]))])

@@ -116,8 +116,8 @@ class ReadingRows:
         filled = [unit for unit, pair in pairs.items() if any(cell.strip() for cell in pair)]
         if len(filled) != 1:
             problems.append(f"meter {meter.id}: fill exactly one pair of value and sigma, found {len(filled)}")
-        elif meter.kind not in UNITS[filled[0]]:
-            allowed = " or ".join(f"value_{unit},sigma_{unit}" for unit in UNITS if meter.kind in UNITS[unit])
+        elif meter.kind.quantity not in UNITS[filled[0]]:
+            allowed = " or ".join(f"value_{unit},sigma_{unit}" for unit in UNITS if meter.kind.quantity in UNITS[unit])
             problems.append(f"meter {meter.id} cannot be in {filled[0]}; its columns are {allowed}")
         elif None in (numbers := [_number(cell) for cell in pairs[filled[0]]]):
             problems.append(
@@ -158,10 +158,10 @@ def _find_value_problems(meter: Meter, value: float, sigma: float, network: Netw
             f"meter {meter.id}: sigma is {sigma:.3g} in p.u. or rad; it must lie between {SMALLEST_SIGMA:g} and "
             f"{LARGEST_SIGMA:g}"
         )
-    if value < 0 and meter.kind in (KIND.VM, KIND.CURRENT):
+    if value < 0 and meter.kind.quantity.is_magnitude:
         yield f"meter {meter.id}: the value is negative; a magnitude is not"
         return
-    limits, _ = RANGES[meter.kind]
+    limits, _ = RANGES[meter.kind.quantity]
     yield from limits.find_problem(f"meter {meter.id}: the value", value * size_of_range(meter, network))
 
 

@@ -1,4 +1,4 @@
-"""The units of readings files: kinds of meter for each unit, its size in p.u. or rad, and limits of the readings."""
+"""The units of readings files: quantities for each unit, its size in p.u. or rad, and limits of the readings."""
 
 from __future__ import annotations
 
@@ -8,27 +8,31 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from dsse_core.grid.columns import read_column
-from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.measurement import Meter
 from dsse_core.grid.meter_table import tabulate_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.physical_ranges import ANGLE, POWER, REACTIVE_POWER, VOLTAGE, Range
+from dsse_core.grid.quantities import Quantity
 
-KIND = MeasurementKind
-UNITS: Mapping[str, frozenset[MeasurementKind]] = {
-    "pu": frozenset(kind for kind in KIND if kind is not KIND.VA),
-    "kv": frozenset({KIND.VM}),
-    "v": frozenset({KIND.VM}),
-    "deg": frozenset({KIND.VA}),
-    "mw": frozenset({KIND.P_INJECTION, KIND.P_FLOW}),
-    "mvar": frozenset({KIND.Q_INJECTION, KIND.Q_FLOW}),
-    "kw": frozenset({KIND.P_INJECTION, KIND.P_FLOW}),
-    "kvar": frozenset({KIND.Q_INJECTION, KIND.Q_FLOW}),
-    "a": frozenset({KIND.CURRENT}),
+_CURRENTS = (Quantity.CURRENT, Quantity.I_REAL, Quantity.I_IMAG)
+UNITS: Mapping[str, frozenset[Quantity]] = {
+    "pu": frozenset(set(Quantity) - {Quantity.VA}),
+    "kv": frozenset({Quantity.VM}),
+    "v": frozenset({Quantity.VM}),
+    "deg": frozenset({Quantity.VA}),
+    "mw": frozenset({Quantity.P}),
+    "mvar": frozenset({Quantity.Q}),
+    "kw": frozenset({Quantity.P}),
+    "kvar": frozenset({Quantity.Q}),
+    "a": frozenset(_CURRENTS),
 }
-"""Unit -> the kinds of meter that may be given in it. Voltages in V and kV are line to line; of a phase to
-ground."""
-WRITTEN_IN = {KIND.VM: "pu", KIND.VA: "deg", KIND.CURRENT: "a", KIND.I_REAL: "pu", KIND.I_IMAG: "pu"} | {
-    kind: "mw" if kind in UNITS["mw"] else "mvar" for kind in UNITS["mw"] | UNITS["mvar"]
+"""Unit -> the quantities that may be given in it. Voltages in V and kV are line to line; of a phase to ground."""
+WRITTEN_IN = {
+    Quantity.VM: "pu",
+    Quantity.VA: "deg",
+    Quantity.P: "mw",
+    Quantity.Q: "mvar",
+    **dict.fromkeys(_CURRENTS, "a"),
 }
 
 
@@ -68,19 +72,18 @@ def power_bases(meters: Sequence[Meter], network: Network) -> np.ndarray:
 
 def size_of_range(meter: Meter, network: Network) -> float:
     """Size of 1 p.u. or rad of ``meter``, which fits the network, in the unit of its limits in RANGES."""
-    _, size = RANGES[meter.kind]
+    _, size = RANGES[meter.kind.quantity]
     return float(power_bases([meter], network)[0]) if size is None else size
 
 
-RANGES: Mapping[MeasurementKind, tuple[Range, float | None]] = {
-    KIND.VM: (Range(0.0, VOLTAGE.most, VOLTAGE.unit), 1.0),  # a dead voltmeter reads 0
-    KIND.VA: (ANGLE, math.degrees(1)),
-    KIND.CURRENT: (Range(0.0, POWER.most, "MVA at the base voltage"), None),
-    KIND.I_REAL: (POWER, None),
-    KIND.I_IMAG: (POWER, None),
-    KIND.P_INJECTION: (POWER, None),
-    KIND.P_FLOW: (POWER, None),
-    KIND.Q_INJECTION: (REACTIVE_POWER, None),
-    KIND.Q_FLOW: (REACTIVE_POWER, None),
+_AT_BASE = "MVA at the base voltage"
+RANGES: Mapping[Quantity, tuple[Range, float | None]] = {
+    Quantity.VM: (Range(0.0, VOLTAGE.most, VOLTAGE.unit), 1.0),  # a dead voltmeter reads 0
+    Quantity.VA: (ANGLE, math.degrees(1)),
+    Quantity.CURRENT: (Range(0.0, POWER.most, _AT_BASE), None),
+    Quantity.I_REAL: (Range(POWER.least, POWER.most, _AT_BASE), None),
+    Quantity.I_IMAG: (Range(POWER.least, POWER.most, _AT_BASE), None),
+    Quantity.P: (POWER, None),
+    Quantity.Q: (REACTIVE_POWER, None),
 }
-"""Kind -> limits of its readings in a unit, and the size of one p.u. or rad in that unit; None: a power base in MVA."""
+"""Limits of readings in a unit, and the size of one p.u. or rad in that unit; None: a power base in MVA."""

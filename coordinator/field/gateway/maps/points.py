@@ -35,8 +35,8 @@ WRITTEN_AS: Mapping[str, tuple[str, float]] = {
 
 def units_of(kind: MeasurementKind) -> tuple[str, ...]:
     """The units that a meter of ``kind`` may be given in."""
-    found = tuple(unit for unit, (basic, _) in WRITTEN_AS.items() if kind in UNITS[basic])
-    return (*found, RADIAN) if kind is MeasurementKind.VA else found
+    found = tuple(unit for unit, (basic, _) in WRITTEN_AS.items() if kind.quantity in UNITS[basic])
+    return (*found, RADIAN) if "deg" in found else found
 
 
 def size_of(unit: str, meter: Meter, network: Network) -> float:
@@ -49,7 +49,7 @@ def size_of(unit: str, meter: Meter, network: Network) -> float:
 
 def physical_range(meter: Meter, network: Network) -> tuple[float, float]:
     """The least and the largest value that a meter of this kind can read, p.u. or rad."""
-    limits, _ = RANGES[meter.kind]
+    limits, _ = RANGES[meter.kind.quantity]
     of_one = size_of_range(meter, network)
     return limits.least / of_one, limits.most / of_one
 
