@@ -78,13 +78,7 @@ def project_charging(charging: np.ndarray, n_from: int, is_ungrounded: tuple[boo
 
 def _find_links(table: NetworkTable) -> _Links:
     links = _Links([], set())
-    for place, k in enumerate(table.active.tolist()):
-        p = table.primitives[k]
-        y, n_from = p.y - p.charging, len(list_phases(p.from_phases))
-        of_end = np.zeros((len(y), 2))
-        of_end[:n_from, 0] = of_end[n_from:, 1] = 1.0
-        _, s, directions = np.linalg.svd(y @ of_end / abs(y).sum(axis=1).max(initial=1e-300), full_matrices=False)
-        free = directions.conj()[s < WEAK]  # common voltages of the two ends that draw nothing
+    for place, free in zip(range(len(table.active)), _find_free(table), strict=True):
         f, t = int(table.f[place]), int(table.t[place])
         if len(free) == 0:
             links.grounded.update((f, t))
@@ -95,6 +89,24 @@ def _find_links(table: NetworkTable) -> _Links:
             else:
                 links.grounded.add(t if one > other else f)
     return links
+
+
+def _find_free(table: NetworkTable) -> list[np.ndarray]:
+    """The common voltages of the two ends that draw nothing, of each branch in service, (k, 2)."""
+    primitives = [table.primitives[k] for k in table.active.tolist()]
+    n_from = np.array([len(list_phases(p.from_phases)) for p in primitives], dtype=int)
+    n_port = np.array([len(p.y) for p in primitives], dtype=int)
+    found = [np.zeros((0, 2))] * len(primitives)
+    for n in np.unique(n_port).tolist():  # all of a size at once
+        of_size = np.flatnonzero(n_port == n)
+        y = np.array([primitives[k].y - primitives[k].charging for k in of_size.tolist()])
+        at_from = np.arange(n) < n_from[of_size, None]
+        of_end = np.stack([at_from, ~at_from], axis=-1)
+        size = abs(y).sum(axis=2).max(axis=1, initial=1e-300)
+        _, s, directions = np.linalg.svd(y @ of_end / size[:, None, None], full_matrices=False)
+        for k, is_free, direction in zip(of_size.tolist(), s < WEAK, directions.conj(), strict=True):
+            found[k] = direction[is_free]
+    return found
 
 
 def _find_parts(n_bus: int, links: _Links, source: int) -> Iterator[dict[int, float]]:

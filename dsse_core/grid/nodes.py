@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -51,6 +52,7 @@ def explain_phases(text: str) -> str:
     return f"is {text!r}; give some of {', '.join(PHASES[1:])}, in this order{neutral}"
 
 
+@lru_cache
 def _read_set(text: str) -> int:
     phases = list_phases(text)
     return sum(1 << PHASES.index(phase) for phase in phases) if phases == sorted(set(phases), key=PHASES.index) else 0

@@ -236,8 +236,9 @@ def _fill(rows: Matrix, n: int, of: str, key: str, place: _Place) -> np.ndarray:
         problem = f"its rows have {has} numbers; the lower triangle of {of} has rows of {wanted}"
         place.refuse(key, problem)
         return matrix
-    matrix[np.tril_indices(n)] = [entry for row in rows for entry in row]
-    return matrix + np.tril(matrix, -1).T
+    for k, row in enumerate(rows):
+        matrix[k, : k + 1] = matrix[: k + 1, k] = row
+    return matrix
 
 
 def _read_bank(table: TransformerTable, place: _Place) -> Primitive:
