@@ -36,6 +36,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from dsse_core.grid.columns import split_by
 from dsse_core.grid.network_table import NetworkTable
 from dsse_core.grid.radial_order import walk_graph
 from dsse_core.linear.interface import Matrix
@@ -114,22 +115,30 @@ class Pieces:
 
     ``read`` (n,): positions in x of the columns but the two shifts, the first ``n_within`` of them within the area.
     ``least`` (n,): information about these columns in case that nothing else determines them. ``piece`` (n_within,):
-    the piece of each column, the lowest first.
+    the piece of each column, the lowest first. ``together`` (:, size): rows in all of x without weight; the lowest
+    piece with a variable of such a row has all of them. ``of_column`` (n + 2,): the piece that eliminates each column.
     """
 
     def __init__(
-        self, H: Matrix, exact: np.ndarray, read: np.ndarray, n_within: int, least: np.ndarray, piece: np.ndarray
+        self,
+        H: Matrix,
+        exact: np.ndarray,
+        read: np.ndarray,
+        n_within: int,
+        least: np.ndarray,
+        piece: np.ndarray,
+        together: sp.csr_array | None = None,
     ) -> None:
         self._H, self._read, self._n_within, self._least = H, read, n_within, np.sqrt(least)
         self._size = len(read) + 2
+        self.of_column = np.zeros(self._size, dtype=int)
         self._place = np.zeros(self._size, dtype=int)  # of columns in the piece at hand
         if isinstance(H, np.ndarray):
             none = np.zeros(0, dtype=int)
             own, others = np.split(np.arange(self._size), [n_within])
             self._pieces = [Piece(own, others, np.arange(len(H)), exact, none, (none, none), 0)]
         else:
-            self._row = np.repeat(np.arange(H.shape[0]), np.diff(H.indptr))
-            self._pieces = self._divide(H, exact, piece)
+            self._pieces = self._divide(H, exact, piece, together)
         last = self._pieces[-1]
         weighed = np.append(last.own, np.arange(n_within, len(read)))
         least = self._find_least_rows(last.columns, weighed)  # of the last piece
@@ -146,33 +155,48 @@ class Pieces:
         is_same = H.indices is known.indices or np.array_equal(H.indices, known.indices)
         return is_same and np.array_equal(H.indptr, known.indptr)
 
-    def _divide(self, H: sp.csr_array, exact: np.ndarray, piece: np.ndarray) -> list[Piece]:
+    def _divide(
+        self, H: sp.csr_array, exact: np.ndarray, piece: np.ndarray, together: sp.csr_array | None
+    ) -> list[Piece]:
         """The pieces, the lowest first; without variables within, one."""
         n, m, shifts = self._n_within, H.shape[0], np.arange(self._size - 2, self._size)
-        of_x = np.full(H.shape[1], -1)
-        of_x[self._read] = np.arange(len(self._read))
-        entries = np.flatnonzero(of_x[H.indices] >= 0)
-        row, column = self._row[entries], of_x[H.indices[entries]]
         names = np.unique(piece)
-        top = max(len(names) - 1, 0)
-        of_column, of_row = np.full(self._size, top), np.full(m, top)
-        of_column[:n] = np.searchsorted(names, piece)
-        np.minimum.at(of_row, row, of_column[column])
+        count = max(len(names), 1)
+        self.of_column[:], self.of_column[:n] = count - 1, np.searchsorted(names, piece)
+        entries, row, column = self._locate(H)
+        of_row = self.find_lowest(m, row, column)
+        of_rows, of_entries = split_by(of_row, count), split_by(of_row[row], count)
+        of_columns = split_by(self.of_column[:n], count)
+        from_below: list[list[np.ndarray]] = [[] for _ in range(count)]
+        from_below[-1].append(np.arange(n, self._size))
+        if together is not None:
+            _, beside, joined = self._locate(together)
+            for k, here in enumerate(split_by(self.find_lowest(together.shape[0], beside, joined)[beside], count)):
+                from_below[k].append(joined[here])
         found: list[Piece] = []
-        from_below: list[list[np.ndarray]] = [[] for _ in range(top + 1)]
-        from_below[top].append(np.arange(n, self._size))
-        for k in range(top + 1):
-            own = np.flatnonzero(of_column[:n] == k)
-            rows, here = np.flatnonzero(of_row == k), np.flatnonzero(of_row[row] == k)
+        for k, (own, rows, here) in enumerate(zip(of_columns, of_rows, of_entries, strict=True)):
             others = np.setdiff1d(np.concatenate([column[here], shifts, *from_below[k]]), own)
             self._place[own], self._place[others] = np.arange(len(own)), len(own) + np.arange(len(others))
             at = np.searchsorted(rows, row[here]), self._place[column[here]]
-            above = int(of_column[others].min())
-            if k < top:
+            above = int(self.of_column[others].min())
+            if k < count - 1:
                 from_below[above].append(others)
             is_exact = np.flatnonzero(np.isin(rows, exact))
             found.append(Piece(own, others, rows, is_exact, entries[here], at, above))
         return found
+
+    def _locate(self, H: sp.csr_array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The entries of H in the columns that are read, their rows, and their columns."""
+        of_x = np.full(H.shape[1], -1)
+        of_x[self._read] = np.arange(len(self._read))
+        entries = np.flatnonzero(of_x[H.indices] >= 0)
+        return entries, np.repeat(np.arange(H.shape[0]), np.diff(H.indptr))[entries], of_x[H.indices[entries]]
+
+    def find_lowest(self, n_row: int, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """The lowest piece that has a variable of each of ``n_row`` rows, for their entries."""
+        lowest = np.full(n_row, self.of_column[-1])
+        np.minimum.at(lowest, row, self.of_column[column])
+        return lowest
 
     def eliminate(self, H: Matrix, beside: np.ndarray, sigma: np.ndarray) -> Reduction:
         """All variables within the area eliminated from its rows.
@@ -320,8 +344,9 @@ class Reduction:
             dx[done.own] = done.eliminated.substitute(dx[done.others])
         return dx[: self._n_within]
 
-    def spread(self, dy: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Variables of each piece, k of them, and roots F (k, :) of their covariance and that of both shifts, (2, :).
+    def spread(self, dy: np.ndarray) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
+        """Pieces from the last one on: number k, number n of own variables, all columns, and the root F of their
+        covariance, (len(columns), :). The first n columns are own ones, the last two both shifts.
 
         ``dy``: root of the covariance of the variables of the boundaries and both shifts.
         """
@@ -337,7 +362,7 @@ class Reduction:
             n, both = len(of_own), np.zeros((len(of_own) + len(of_others), of_own.shape[1]))
             both[:n], both[n:, n:] = of_own, of_others
             roots[k] = np.concatenate([done.own, done.others]), both
-            yield done.own, of_own, both[-2:]
+            yield k, n, *roots[k]
 
     def collect(self, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``B F`` for functions B (k, :) of all variables without the part of the boundaries; B as functions of these.

@@ -24,6 +24,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.grid.boundary import Boundary, Kind
+from dsse_core.grid.columns import split_by
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import EXACT_SIGMA, TIED_SIGMA, BoundaryInformation
@@ -32,6 +33,8 @@ from dsse_core.linear.pieces import Pieces, Reduction, divide_tree
 from dsse_core.linear.reflections import Eliminated, eliminate, triangulate, turn_alone
 from dsse_core.linear.rows import RowSolver, shift_of_own_rows
 from dsse_core.linear.sparse import SparseRows
+
+BLOCK = 256  # functions whose variances are found at once; bounds memory at (BLOCK, size)
 
 
 @dataclass(frozen=True)
@@ -49,11 +52,13 @@ class _Reduced:
 class ReducedSolver(RowSolver):
     """Solver for steps, information and variances by two stages of reflections; steps with damping take one.
 
-    Dense rows are eliminated in one piece, sparse ones in pieces along the area's tree.
+    Dense rows are eliminated in one piece, sparse ones in pieces along the area's tree. ``together`` (:, size): rows of
+    variables that stand together in one piece, beside those of the meters.
     """
 
-    def __init__(self, model: AreaMeasurements, rows: Rows, name: str) -> None:
+    def __init__(self, model: AreaMeasurements, rows: Rows, name: str, together: sp.csr_array | None = None) -> None:
         super().__init__(model, rows, name)
+        self._together = together
         self._order = _Order(model)
         self._within: tuple[np.ndarray, Reduction] | None = None
         self._reduced: _Reduced | None = None
@@ -100,25 +105,59 @@ class ReducedSolver(RowSolver):
         for which ``dx = F e``, e of variance 1, ``G^-1 = F F'``.
         """
         within, order, (of_y, last) = self._reduce(x).within, self._order, self._spread(x, received)
-        shifts, found = np.column_stack(order.find_shifts(x)), np.zeros(self.model.size)
+        shifts, found = self._find_shifts(x), np.zeros(self.model.size)
         F = shifts @ of_y[-2:]
         F[order.read[order.n_within :]] += of_y[: len(order.read) - order.n_within]
         found += np.vecdot(F, F)
-        for columns, of_piece, of_shifts in within.spread(of_y):
-            at = order.read[columns]
-            F = of_piece + shifts[at] @ of_shifts
+        for _, n, columns, root in within.spread(of_y):
+            at = order.read[columns[:n]]
+            F = root[:n] + shifts[at] @ root[-2:]
             found[at] = np.vecdot(F, F)
         left = last.turn_back(np.eye(len(last.taken) - len(last.order), order="F"))[: len(within.rows)]
         R = 1 / self.model.contribution(self.rows.predict(x)).weight
         return found, self.model.real_part(R * within.turn_back(left)[: len(R)])
 
     def covariance(self, x: np.ndarray, received: Received, B: np.ndarray) -> np.ndarray:
-        order, (of_y, _) = self._order, self._spread(x, received)
-        of_within, of_rest = self._reduce(x).within.collect(
-            np.hstack([B[:, order.read], B @ np.column_stack(order.find_shifts(x))])
-        )
-        F = np.hstack([of_within, of_rest @ of_y])
+        F = self._collect(x, np.hstack([B[:, self._order.read], B @ self._find_shifts(x)]), received)
         return np.asarray(F @ F.T)
+
+    def variance_of(self, x: np.ndarray, B: sp.csr_array) -> np.ndarray:
+        """diag(B G^-1 B'), (k,), for functions ``B`` (k, size) of x, without messages."""
+        B, found = self._by_columns(x, B), np.zeros(B.shape[0])
+        for first in range(0, len(found), BLOCK):
+            F = self._collect(x, B[first : first + BLOCK].toarray(), {})
+            found[first : first + BLOCK] = np.vecdot(F, F)
+        return found
+
+    def covariance_of_pairs(self, x: np.ndarray, B: sp.csr_array, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Entries (a[k], b[k]) of B G^-1 B', (k,), without messages.
+
+        ``B`` (:, size): functions of x. Those of a pair are of variables that stand together in one piece.
+        """
+        self._reduce_voltages(x)
+        assert self._pieces is not None  # found by the reduction
+        B, found = self._by_columns(x, B), np.zeros(len(a))
+        of_row = self._pieces.find_lowest(B.shape[0], np.repeat(np.arange(B.shape[0]), np.diff(B.indptr)), B.indices)
+        pairs = split_by(np.minimum(of_row[a], of_row[b]), len(self._pieces))
+        for k, _, columns, root in self._reduce(x).within.spread(self._spread(x, {})[0]):
+            here = pairs[k]
+            rows, at = np.unique(np.concatenate([a[here], b[here]]), return_inverse=True)
+            F = B[rows][:, columns] @ root
+            one, other = np.split(at, 2)
+            found[here] = np.vecdot(F[one], F[other])
+        return found
+
+    def _by_columns(self, x: np.ndarray, B: sp.csr_array) -> sp.csr_array:
+        """Functions ``B`` (k, size) of x as functions of the columns of pieces, both shifts last."""
+        return sp.csr_array(sp.hstack([B[:, self._order.read], sp.csr_array(B @ self._find_shifts(x))]))
+
+    def _find_shifts(self, x: np.ndarray) -> np.ndarray:
+        return np.column_stack(self._order.find_shifts(x))
+
+    def _collect(self, x: np.ndarray, B: np.ndarray, received: Received) -> np.ndarray:
+        """``B F`` for functions B of the columns of pieces, F the root of their covariance."""
+        of_within, of_rest = self._reduce(x).within.collect(B)
+        return np.hstack([of_within, of_rest @ self._spread(x, received)[0]])
 
     def _spread(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, Eliminated]:
         """The root of the covariance of the boundaries' variables and both shifts, and the second stage."""
@@ -197,7 +236,9 @@ class ReducedSolver(RowSolver):
             piece = divide_tree(area.network.table, area.entry_bus)[area.network.table.nodes.item]
             least = self.least_information(order.read)
             within = order.read[: order.n_within]
-            self._pieces = Pieces(H, self.model.exact, order.read, order.n_within, least, piece[within % n])
+            self._pieces = Pieces(
+                H, self.model.exact, order.read, order.n_within, least, piece[within % n], self._together
+            )
         return self._pieces
 
     def _boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, np.ndarray]:

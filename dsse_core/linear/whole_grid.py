@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import copy
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
 
+from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.measurement_model import MeasurementModel
 from dsse_core.linear.area_measurements import NO_ROWS, AreaMeasurements
 from dsse_core.linear.interface import Received
+from dsse_core.linear.reduced import ReducedSolver
 from dsse_core.linear.rows import TableauSolver
 from dsse_core.linear.sparse import SparseRows, order_of
 from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
+
+EXACT = 1e-12  # p.u.: sigma of exact rows in variances by reflections; what many of them determine has next to none
 
 
 class GridRows(SparseRows):
@@ -59,11 +64,13 @@ class GridSolver(TableauSolver):
         super().__init__(model, GridRows(model, flat), "sparse")
         self._last: tuple[AugmentedFactor, np.ndarray] | None = None  # factor of the last step, and s of its solution
         self._found: tuple[bytes, AugmentedFactor] | None = None  # x, and its factor for variances and covariances
+        self._reflecting: list[ReducedSolver] = []  # for variances with phases; one for all readings of the same meters
 
     def with_values(self, z: np.ndarray, sigma: np.ndarray, held_back: np.ndarray = NO_ROWS) -> Self:
         """Solver for other readings of the same meters but the rows ``held_back``, with no memory of a last step."""
         other = self.with_readings(self.model.with_values(z, sigma, held_back=held_back))
         other.rows, other._last, other._found = self.rows.copy(), None, None
+        other.__dict__.pop("_by_reflections", None)
         return other
 
     @property
@@ -123,8 +130,29 @@ class GridSolver(TableauSolver):
             self._found = x.tobytes(), self._factor_at(x, H, sigma, self.least_information(self.model.free))
         return self._found[1]
 
+    @cached_property
+    def _by_reflections(self) -> ReducedSolver:
+        """Solver by reflections for what is known of the state, in pieces that join each bus with its neighbours."""
+        model = self.model
+        if not self._reflecting:
+            beside = build_admittance(model.area.network).ybus
+            together = sp.csr_array(sp.hstack([beside, beside]))
+            self._reflecting.append(ReducedSolver(model, self.rows, "pieces", together))
+        sigma = np.where(model.virtual, EXACT, model.sigma)
+        sigma[model.held_back] = np.inf
+        solver = self._reflecting[0].with_readings(model.with_values(model.z, sigma))
+        solver.rows = self.rows
+        return solver
+
+    @property
+    def _has_phases(self) -> bool:
+        """True where variances are found by reflections: covariances in place of their roots would lose digits."""
+        return not self.model.area.network.table.nodes.is_balanced
+
     def variance_of_state(self, x: np.ndarray) -> np.ndarray:
         """diag(G^-1), shape (size,); nan where it would take too long."""
+        if self._has_phases:
+            return self._by_reflections.variances(x, {})[0]
         of_state = np.zeros(self.model.size)
         of_state[self.model.free] = self._factor_of(x, {}).state_variance(limited=True)
         return of_state
@@ -135,10 +163,17 @@ class GridSolver(TableauSolver):
         Where loops are so many and long that all would take too long, only those of the largest |r| / sigma are found,
         and the others are nan.
         """
+        if self._has_phases:
+            return self._by_reflections.variances(x, {})[1]
         model = self.model
         factor, r = self._factor_of(x, {}), abs(model.residual_of(self.rows.predict(x)))
         wanted = np.argsort(-np.divide(r, model.sigma, out=np.zeros(len(r)), where=~model.virtual), kind="stable")
         return model.real_part(factor.residual_variance(wanted))
+
+    def read_by_pieces(self, x: np.ndarray, read: MeasurementModel) -> ReflectedCovariance:
+        """Covariance of the state and of the readings of perfect meters by reflections."""
+        B = sp.csr_array(sp.vstack([sp.eye_array(len(x), format="csr"), read.jacobian(x)]))
+        return ReflectedCovariance(self._by_reflections, x, B)
 
     def read(self, x: np.ndarray, read: MeasurementModel, joined: tuple[np.ndarray, np.ndarray]) -> JointCovariance:
         """Covariance of the state and of the readings of perfect meters; ``joined``: the pairs that are asked for.
@@ -160,6 +195,21 @@ class GridSolver(TableauSolver):
         if order.blocks is None and not pattern.is_compiled:  # minimum degree of the whole tableau fills in less
             pattern = AugmentedPattern(both, columns)
         return JointCovariance(AugmentedFactor(both, np.append(sigma, np.zeros(n_read)), pattern=pattern), columns)
+
+
+class ReflectedCovariance:
+    """Covariance of the variables [va; vm; readings], functions ``B`` (:, size) of x; readings of one bus each."""
+
+    def __init__(self, solver: ReducedSolver, x: np.ndarray, B: sp.csr_array) -> None:
+        self._solver, self._x, self._B = solver, x, B
+
+    def entries(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Covariance of the variables a[k] and b[k], (k,), of one bus or of one branch."""
+        return self._solver.covariance_of_pairs(self._x, self._B, a, b)
+
+    def of_sums(self, B: sp.csr_array) -> np.ndarray:
+        """diag(B C B'), shape (k,), for ``B`` (k, n), C the covariance."""
+        return self._solver.variance_of(self._x, sp.csr_array(B @ self._B))
 
 
 class JointCovariance:

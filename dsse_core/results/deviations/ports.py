@@ -57,10 +57,7 @@ class PortDeviations:
         first = 2 * n + np.cumsum([0, *map(len, of_parts)])
         self._p, self._q, *self._of_loss, self._injections = (np.arange(a, b) for a, b in pairwise(first.tolist()))
         self._vm, self._size = n + np.arange(n), int(first[-1])
-        vm, (a_p, a_q, b_p, b_q) = self._vm[self._node], self._of_loss
-        one, another = (self._p, self._p, self._q, a_p, a_q), (self._q, vm, vm, b_p, b_q)
-        x = np.concatenate([result.va, result.vm])
-        self._covariance = result.linear.read(x, read, (np.concatenate(one), np.concatenate(another)))
+        self._covariance = result.linear.read_by_pieces(np.concatenate([result.va, result.vm]), read)
 
     def of_branches_and_injections(self) -> tuple[np.ndarray, np.ndarray]:
         """Variances of P, Q, I at the from end, of P, Q, I at the to end, and of the loss, P and Q, (8, n_row); and of
