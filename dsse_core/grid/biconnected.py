@@ -17,7 +17,8 @@ from dsse_core.grid.network import Network
 
 
 class Block(NamedTuple):
-    """A block. ``top``: its bus nearest to the substation; ``buses``: its other buses; ``branches``: ids of branches.
+    """A block. ``top``: its bus nearest to the substation; ``buses``: its other buses, of ``n_nodes`` nodes;
+    ``branches``: ids of branches.
 
     Every bus but the substation is in ``buses`` of exactly one block.
     """
@@ -25,6 +26,7 @@ class Block(NamedTuple):
     top: int
     buses: tuple[int, ...]
     branches: tuple[str, ...]
+    n_nodes: int
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,7 @@ class _Blocks:
     def __init__(self, network: Network) -> None:
         self._table, self._branch_ids = network.table, network.branch_ids
         self._bus_ids: list[int] = network.table.bus_id.tolist()
+        self._n_nodes: list[int] = np.bincount(network.table.nodes.item, minlength=len(self._bus_ids)).tolist()
         self.found: list[Block] = []
 
     def add(self, trail: list[int], entry: int, bus: int, top: int) -> None:
@@ -105,7 +108,8 @@ class _Blocks:
         """
         branches = [trail.pop()]
         if branches[0] == entry:  # in no loop, as nearly everywhere in a feeder
-            self.found.append(Block(self._bus_ids[top], (self._bus_ids[bus],), (self._branch_ids[entry],)))
+            ids, branch = self._bus_ids, self._branch_ids[entry]
+            self.found.append(Block(ids[top], (ids[bus],), (branch,), self._n_nodes[bus]))
             return
         while branches[-1] != entry:
             branches.append(trail.pop())
@@ -113,4 +117,6 @@ class _Blocks:
         ends = np.stack([self._table.from_bus[branches], self._table.to_bus[branches]], axis=1)
         buses = dict.fromkeys(ends.ravel().tolist())
         del buses[self._bus_ids[top]]
-        self.found.append(Block(self._bus_ids[top], tuple(buses), tuple(self._branch_ids[k] for k in branches)))
+        n_nodes = sum(self._n_nodes[self._table.rows.row_of(bus)] for bus in buses)
+        names = tuple(self._branch_ids[k] for k in branches)
+        self.found.append(Block(self._bus_ids[top], tuple(buses), names, n_nodes))

@@ -4,7 +4,8 @@ Cuts lie at articulation points only: an area is made of whole blocks (``biconne
 area and the areas form a tree. Areas are called area1, area2, ... in the order in which a walk from the substation, bus
 after bus, meets them.
 
-The size of an area is the number of buses below its blocks: those that it owns, the substation not counted.
+The size of an area is the number of nodes below its blocks, which in a balanced network are buses: those that it owns,
+the substation not counted.
 """
 
 from __future__ import annotations
@@ -161,7 +162,7 @@ def _balance(blocks: Sequence[Block], count: int) -> list[list[Block]]:
         middle = (low + high) // 2
         low, high = (low, middle) if _pack(hanging, middle).n_area <= count else (middle, high)
     areas = _read_off(blocks, _pack(hanging, high))
-    largest = [(-sum(len(block.buses) for block in area), i) for i, area in enumerate(areas)]
+    largest = [(-sum(block.n_nodes for block in area), i) for i, area in enumerate(areas)]
     heapq.heapify(largest)
     while len(areas) < count:
         _, i = heapq.heappop(largest)
@@ -171,7 +172,7 @@ def _balance(blocks: Sequence[Block], count: int) -> list[list[Block]]:
         areas[i] = first
         areas.append(second)
         for k in (i, len(areas) - 1):
-            heapq.heappush(largest, (-sum(len(block.buses) for block in areas[k]), k))
+            heapq.heappush(largest, (-sum(block.n_nodes for block in areas[k]), k))
     return areas
 
 
@@ -183,7 +184,7 @@ def _find_hanging(blocks: Sequence[Block]) -> _Hanging:
             is_single = len(groups) == len(groups[0]) == 1
             below.append((i, groups[0][0] if is_single else groups))
         at.setdefault(block.top, []).append(i)
-    return _Hanging([len(block.buses) for block in blocks], below, list(at.values()), bytes(len(blocks)))
+    return _Hanging([block.n_nodes for block in blocks], below, list(at.values()), bytes(len(blocks)))
 
 
 def _merge_small(hanging: _Hanging, bound: int) -> _Hanging:

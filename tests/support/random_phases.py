@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from dsse_core.grid.measurement import Measurement, Meter, Source
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.grid.nodes import list_phases
+from dsse_core.grid.primitives import Side, build_centre_tapped, build_line
 from tests.support.phases import DELTA, KIND, WYE, bank, coupled_line, meter_injections, solve
 
 SOURCE = 650
@@ -55,6 +58,41 @@ def _draw_loads(rng: np.random.Generator, bus: int, phases: str) -> list[Load]:
     kind = rng.random()
     legs = [*LEGS.get(phases, ())] if kind < 0.35 else list_phases(phases) if kind < 0.8 else []
     return [Load(bus, leg, complex(*rng.uniform(0.01, 0.06, 2))) for leg in legs if rng.random() < 0.8]
+
+
+def make_large_feeder(rng: np.random.Generator, n_lateral: int) -> Network:
+    """A trunk of three phases with a lateral of one phase at each bus, whose houses have centre-tapped transformers.
+
+    18 nodes for each lateral; a regulator stands half-way.
+    """
+    phases, branches, loads = {SOURCE: "abc"}, list[Branch](), list[Load]()
+
+    def add(above: int, of_bus: str, join: Callable[[str, tuple[int, int]], Branch]) -> int:
+        bus = SOURCE + len(phases)
+        phases[bus] = of_bus
+        branches.append(join(f"{above}-{bus}", (above, bus)))
+        return bus
+
+    def hang(phase: str) -> Callable[[str, tuple[int, int]], Branch]:
+        kva, halves = float(rng.choice([10, 15, 25, 50])), Side("s1s2", ("s1", "s2"), (1.0,))
+        unit = build_centre_tapped(Side(phase, (phase,), (1.0,)), halves, (0.012 + 0.02j) * 5000 / 3 / kva)
+        return lambda name, ends: Branch(name, *ends, r=1.0, x=1.0, primitive=unit)
+
+    def drop(name: str, ends: tuple[int, int]) -> Branch:
+        z = np.array([[1.0 + 0.7j, 0.4 + 0.5j], [0.4 + 0.5j, 1.0 + 0.7j]]) * rng.uniform(0.3, 1.5)
+        return Branch(name, *ends, r=1.0, x=1.0, primitive=build_line("s1s2", z))
+
+    at = SOURCE
+    for k in range(n_lateral):
+        line = partial(coupled_line, phases="abc", length=float(rng.uniform(0.005, 0.03)))
+        at = add(at, "abc", partial(bank, high=WYE, taps=(1.02, 1.0, 1.03)) if k == n_lateral // 2 else line)
+        phase, pole = str(rng.choice(list("abc"))), at
+        for _ in range(3):
+            pole = add(pole, phase, partial(coupled_line, phases=phase, length=float(rng.uniform(0.02, 0.1))))
+            house = add(add(pole, "s1s2", hang(phase)), "s1s2", drop)
+            loads += [Load(house, half, complex(*rng.uniform(2e-4, 2e-3, 2))) for half in ("s1", "s2")]
+    buses = tuple(Bus(bus, 12.47 if "s" not in of_bus else 0.208, phases=of_bus) for bus, of_bus in phases.items())
+    return Network("large", 5.0, buses, tuple(branches), (Generator(SOURCE, Control.SLACK),), tuple(loads))
 
 
 def read_random_meters(rng: np.random.Generator, network: Network, decades: float) -> list[Measurement]:
