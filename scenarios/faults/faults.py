@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.nodes import list_phases
 from dsse_core.grid.partition import Partition
 from dsse_core.limits import LONGEST_S
 from dsse_core.link_faults import LinkFaults
@@ -91,7 +92,6 @@ def find_links(partition: Partition) -> tuple[Link, ...]:
 
 def build_faults(table: FaultsTable, partition: Partition) -> Faults:
     """The faults of a table that ``find_name_problems`` and ``find_link_problems`` find no fault with."""
-    base_mva = partition.network.base_mva
     own = {(link.from_, link.to): link for link in table.link}
     returned = {(link.to, link.from_): link.lie for link in table.link if link.lie.both_ways}
     cuts: dict[frozenset[str], list[tuple[float, float]]] = {}
@@ -99,7 +99,9 @@ def build_faults(table: FaultsTable, partition: Partition) -> Faults:
         if event.cut is not None:
             cuts.setdefault(frozenset(event.cut), []).append((event.at_s, event.at_s + (event.for_s or 0.0)))
     links = {
-        link: _build_link(table, own.get(link), returned.get(link), sorted(cuts.get(frozenset(link), [])), base_mva)
+        link: _build_link(
+            table, own.get(link), returned.get(link), sorted(cuts.get(frozenset(link), [])), _find_mva(partition, link)
+        )
         for link in find_links(partition)
     }
     events = [FaultEvent(e.at_s, e.kind, e.names, e.for_s or 0.0) for e in table.events]  # type: ignore[arg-type]
@@ -111,15 +113,21 @@ def build_faults(table: FaultsTable, partition: Partition) -> Faults:
     )
 
 
+def _find_mva(partition: Partition, link: Link) -> float:
+    """The size of 1 p.u. of power in every phase of the boundary of a link, at the bus with most of them, MVA."""
+    phases = partition.area(link[0]).boundaries[link[1]].phases.values()
+    return partition.network.node_mva * max(len(list_phases(text)) for text in phases)
+
+
 def _build_link(
     table: FaultsTable,
     own: LinkTable | None,
     returned: LieTable | None,
     cuts: Sequence[tuple[float, float]],
-    base_mva: float,
+    mva: float,
 ) -> LinkFaults:
     """``own``: the keys that the link has for itself instead of those of every link. ``returned``: the lie of the
-    other direction, which this one takes back.
+    other direction, which this one takes back. ``mva``: the power that is 1 p.u. in each phase.
     """
 
     def value_of(key: str) -> Any:
@@ -139,12 +147,12 @@ def _build_link(
         jitter_s=value_of("jitter_ms") / 1000,
         duplicate=value_of("duplicate"),
         corrupt=value_of("corrupt"),
-        load_p=load.p_mw / base_mva,
-        load_q=load.q_mvar / base_mva,
+        load_p=load.p_mw / mva,
+        load_q=load.q_mvar / mva,
         load_scale=load.scale,
         load_frozen=load.frozen,
-        lie_p=lie.p_mw / base_mva,
-        lie_q=lie.q_mvar / base_mva,
+        lie_p=lie.p_mw / mva,
+        lie_q=lie.q_mvar / mva,
         lie_vm=lie.vm_pu,
         lie_va=math.radians(lie.va_deg),
         lie_scale=lie.scale,

@@ -27,7 +27,7 @@ class LoadFaultTable(Table):
     """``load``: changes of the content of load messages on the way."""
 
     p_mw: float = 0.0
-    """Added; with phases a third at each."""
+    """Added, shared by its phases."""
     q_mvar: float = 0.0
     """Likewise."""
     scale: float = 1.0
@@ -40,7 +40,7 @@ class LieTable(Table):
     """``lie``: changes of the content of a strategy's messages on the way."""
 
     p_mw: float = 0.0
-    """Added to the active power at the boundary; with phases a third at each."""
+    """Added to the active power at the boundary, shared by its phases."""
     q_mvar: float = 0.0
     """Likewise, reactive power."""
     vm_pu: float = 0.0

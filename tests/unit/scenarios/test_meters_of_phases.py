@@ -275,6 +275,18 @@ def test_keys_of_areas_that_solve_a_power_flow_of_their_own_are_refused_with_pha
     assert load_error.startswith("faults.load_error: the buses of network 'ieee13' have phases")
 
 
+def test_a_power_added_on_a_link_is_shared_by_the_phases_of_its_boundary() -> None:
+    """Areas meet at 632 with three phases and at 671 with two."""
+    power, areas = {"p_mw": 0.3, "q_mvar": -0.6}, [("area1", "area2", 3), ("area2", "area3", 2)]
+    links = [{"from": one, "to": other, "load": power, "lie": power} for one, other, _ in areas]
+    faults = load_scenario("ieee13", changes={"faults.link": links}).faults.links
+    for one, other, n in areas:
+        found = faults[one, other]
+        for p, q in ((found.load_p, found.load_q), (found.lie_p, found.lie_q)):
+            assert n * p * IEEE13.node_mva == pytest.approx(0.3)
+            assert n * q * IEEE13.node_mva == pytest.approx(-0.6)
+
+
 def test_the_phase_of_a_lateral_that_no_meter_determines_is_named_with_its_cure() -> None:
     changes = {
         "measurements.zero_injection": [2, 650, 60, 632, 633, 680, "645.c", "684.a"],
