@@ -103,7 +103,8 @@ def find_parts_with_phases(file: NetworkFile) -> list[str]:
 
 
 def _has_phases(branch: BranchTable) -> bool:
-    return not OF_PHASES.isdisjoint(branch.model_fields_set) or any(isinstance(v, list) for v in vars(branch).values())
+    given = branch.model_fields_set
+    return not OF_PHASES.isdisjoint(given) or any(isinstance(getattr(branch, key), list) for key in IMPEDANCES & given)
 
 
 def read_phase_parts(file: NetworkFile, kv: Mapping[int, float], phases: Mapping[int, str]) -> PhaseParts:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from importlib.resources import files
 from pathlib import Path
@@ -17,8 +18,9 @@ NETWORK_LINE = re.compile(r'^network = "([^"]+)"', re.MULTILINE)
 
 def find_shipped(folder: Literal["cases", "shipped"]) -> dict[str, Path]:
     """Name -> file of everything shipped in ``folder``, sorted by name."""
-    found = (Path(str(entry)) for entry in (files("scenarios") / folder).iterdir())
-    return dict(sorted((path.stem, path) for path in found if path.suffix == ".toml"))
+    root = Path(str(files("scenarios") / folder))
+    names = sorted(file.removesuffix(".toml") for file in os.listdir(root) if file.endswith(".toml"))
+    return {name: root / f"{name}.toml" for name in names}
 
 
 def find_scenario(name: str) -> Path:
