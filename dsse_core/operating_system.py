@@ -107,6 +107,8 @@ def confine(memory: int) -> None:
     """Limits of this process from now on: no file grows by a byte (pipes are none), and ``memory`` bytes at most."""
     if HAS_LIMITS:
         resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+        memory = memory if hard == resource.RLIM_INFINITY else min(memory, hard)
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
 
 

@@ -8,6 +8,8 @@ here, and numbers of load shapes and places of buses read here, within one folde
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -23,8 +25,15 @@ from scenarios.importers.opendss.vocabulary import Words, load_vocabulary
 MOST_BYTES = 64 * 2**20  # of all files of a circuit, each as often as it is read
 MOST_FILES = 2000
 MOST_STATEMENTS = 300_000
+MOST_LINES = 2_000_000  # of all files
+MOST_PIECES = 2_000_000  # values and names, and numbers in files
+MOST_PIECES_OF_LINE = 1000
+LONGEST_ROW = 10_000  # characters of a line of numbers or of places
+LONGEST_PATH = 1000
+LONGEST_WORD = 100  # characters of a name or number
 DEEPEST_REDIRECT = 20
 MOST_PROBLEMS = 50
+SERIES = ("line", "transformer", "reactor", "capacitor")  # classes whose elements may be open
 SOURCE = "vsource.source"  # that every circuit begins with
 LONGEST_SHOWN = 60  # characters of a statement
 LINE_END = re.compile("\r\n|\r|\n")
@@ -37,10 +46,27 @@ END = re.compile(r"[ \t,]*+(?:(?:!|//).*)?+\Z")
 PLAIN = re.compile(r"[\w.+-]+", re.ASCII)
 VALUE = re.compile(r"[\w.+\-#/%&$:;~^*|,() \t]*", re.ASCII)  # no quotes, brackets, =, @ and backslashes
 NAME = re.compile(r"[\w.+\-#/%&$:;~]+", re.ASCII)
-PATTERN = re.compile(r"[\w.+\-#/%&$:;~*^]+", re.ASCII)  # of batchedit
+PATTERN = re.compile(r"\^?[\w.\-#/%&:;~]*+\*?\$?", re.ASCII)  # of batchedit, a regular expression of one * at most
+LONG_WORD = re.compile(r"(?<![^\s,|()])[^\s,|()]{" f"{LONGEST_WORD + 1}" "}")
+BUS = re.compile(r"[\w+\-#/%&$:;~]+(?:\.\d{1,2})*\.?", re.ASCII)
+BUSES = ("bus", "bus1", "bus2", "buses", "vbus")
+MOST = {
+    "phases": 6,
+    "nphases": 6,
+    "windings": 6,
+    "wdg": 6,
+    "nconds": 20,
+    "cond": 20,
+    "npts": 1_000_000,
+    "numsteps": 100,
+}
+"""Property -> its largest value, where more could make OpenDSS fail or never end."""
+COLUMN = re.compile(r"[1-9]\d{0,3}", re.ASCII)
+OPTION = r"\w++\s*+=\s*+\w++"
 QUOTED_NAME = re.compile(r"""(?P<quote>["'])([\w.+\-#/%&$:;~]*+)(?P=quote)""", re.ASCII)
 LIST_IN_FILE = re.compile(
-    r"\s*file\s*=\s*(?P<file>\"[^\"]*\"|'[^']*'|[^\s,=\"']+)(?P<rest>[\s,\w=]*)", re.IGNORECASE | re.ASCII
+    rf"\s*+file\s*+=\s*+(?P<file>\"[^\"]*+\"|'[^']*+'|[^\s,=\"']++)(?P<rest>(?:[\s,]++{OPTION})*+)[\s,]*+",
+    re.IGNORECASE | re.ASCII,
 )
 WRITES = "OpenDSS may write files, run programs or change with it what is imported; take the line out"
 
@@ -104,6 +130,7 @@ class _Reader:
         self.script, self.problems = Script(), list[str]()
         self.open: list[Path] = []
         self.bytes_left, self.files_left, self.statements_left = MOST_BYTES, MOST_FILES, MOST_STATEMENTS
+        self.lines_left, self.pieces_left = MOST_LINES, MOST_PIECES
         self.active: str | None = None  # the object that ~ goes on with, class.name; "" where it is left out
         self.left_out = Counter[str]()
         self.place = ""
@@ -148,32 +175,36 @@ class _Reader:
             self.problems.append("there may be more; the rest is not read")
 
     def _read_text(self, path: Path) -> str:
-        """The text of a file; of a first file that cannot be read the error is that of the whole import."""
         try:
             content = read_bounded(path, self.bytes_left)
         except OSError as error:
-            problem = f"cannot be read: {error.strerror}"
-            if self.open:
-                raise _RefusedError(f"{printable(path.name)} {problem}") from None
-            raise InvalidInputError(str(path), [problem]) from None
+            raise self._refuse_file(path, f"cannot be read: {error.strerror}") from None
         self.bytes_left -= len(content)
         self.files_left -= 1
         if self.files_left < 0:
             raise _RefusedError(f"more than {MOST_FILES} files are read; look for redirects that repeat each other")
+        self.lines_left -= max(content.count(b"\n"), content.count(b"\r"))
+        if self.lines_left < 0:
+            raise self._refuse_file(path, f"more than {MOST_LINES:,} lines are read")
         try:
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = content.decode("latin-1")  # letters beyond ASCII are for comments only
         if found := CONTROL.search(text):
             line = len(LINE_END.findall(text, 0, found.start())) + 1
-            problem = f"line {line}: holds the character {found[0]!r}; this is no text"
-            if self.open:
-                raise _RefusedError(f"{printable(path.name)} {problem}")
-            raise InvalidInputError(str(path), [problem])
+            raise self._refuse_file(path, f"line {line}: holds the character {found[0]!r}; this is no text")
         return text
+
+    def _refuse_file(self, path: Path, problem: str) -> Exception:
+        """The error of a file: where it is the first one, that of the whole import."""
+        if self.open:
+            return _RefusedError(f"{printable(path.name)} {problem}")
+        return InvalidInputError(str(path), [problem])
 
     def _find_file(self, given: str, by: Path) -> Path:
         """The file that a file ``by`` names, relative to its own folder."""
+        if len(given) > LONGEST_PATH:
+            raise _RefusedError(f"a path has at most {LONGEST_PATH:,} characters")
         if not given or PureWindowsPath(given).is_absolute() or given.startswith(("/", "\\", "~")):
             raise _RefusedError(f"{printable(given)!r} is no path relative to the folder of the file that names it")
         path = by.parent
@@ -186,9 +217,12 @@ class _Reader:
         return path
 
     def _execute(self, line: str, path: Path, depth: int) -> None:
-        pieces = list(_split(line))
+        pieces = list(itertools.islice(_split(line), MOST_PIECES_OF_LINE + 1))
         if not pieces:
             return
+        if len(pieces) > MOST_PIECES_OF_LINE:
+            raise _RefusedError(f"a line has at most {MOST_PIECES_OF_LINE:,} values; a list stands in brackets")
+        self._count_pieces(len(pieces))
         first, rest = pieces[0], pieces[1:]
         if first.name:
             self._assign(first, rest, path)
@@ -202,6 +236,8 @@ class _Reader:
         if mark == "left out":
             self.left_out[verb] += 1
             return
+        if verb not in ("redirect", "compile", "new", "edit", "more", "m", "~"):
+            self.active = None  # as OpenDSS may go on with an element that it names
         if verb in ("redirect", "compile"):
             if depth >= DEEPEST_REDIRECT:
                 raise _RefusedError(f"redirects are nested more than {DEEPEST_REDIRECT} deep")
@@ -212,7 +248,8 @@ class _Reader:
         elif verb == "batchedit":
             self._edit_batch(rest, path)
         elif verb in ("clear", "clearall"):
-            self.script, self.active, self.left_out = Script(), None, Counter()
+            kept = [one for one in self.script.commands if one.text.startswith("set defaultbasefrequency=")]
+            self.script, self.left_out = Script(commands=kept), Counter()
         elif verb in ("set", "solve"):
             self._set(rest)
             if verb == "solve":
@@ -228,7 +265,14 @@ class _Reader:
         else:  # calcvoltagebases, makebuslist, reprocessbuses, buildy
             self._hand_over(verb)
 
+    def _count_pieces(self, count: int) -> None:
+        self.pieces_left -= count
+        if self.pieces_left < 0:
+            raise _RefusedError(f"more than {MOST_PIECES:,} values are read")
+
     def _hand_over(self, text: str) -> None:
+        if len(self.script.commands) >= MOST_STATEMENTS:
+            raise _RefusedError(f"more than {MOST_STATEMENTS:,} statements")
         self.script.commands.append(Command(text, self.place))
 
     def _assign(self, first: _Piece, rest: Sequence[_Piece], path: Path) -> None:
@@ -248,7 +292,7 @@ class _Reader:
             self._name_object(verb, kind, name)
             pieces = pieces[1:]
         if self.active is None:
-            raise _RefusedError("no object is there that it could go on with")
+            raise _RefusedError("no object is there that it goes on with; write edit and the object's class.name")
         if not self.active:
             return
         kind, name = self.active.split(".", 1)
@@ -308,9 +352,10 @@ class _Reader:
                 yield _write("hour", " ".join(row[0] for row in rows))
             yield _write("mult", " ".join(row[-1] for row in rows))
         elif in_file is not None and word in ("mult", "pmult", "qmult", "hour"):
-            options = dict(re.findall(r"(\w+)\s*=\s*(\w+)", in_file["rest"].lower()))
-            if not set(options) <= {"col", "header"} or not options.get("col", "1").isdecimal():
-                raise _RefusedError("beside file= of a list of numbers col= and header= are known")
+            given = re.findall(OPTION, in_file["rest"].lower())
+            options = {key.strip(): value.strip() for key, value in (text.split("=") for text in given)}
+            if not set(options) <= {"col", "header"} or not COLUMN.fullmatch(options.get("col", "1")):
+                raise _RefusedError("beside file= of a list of numbers col=, from 1 on, and header= are known")
             column = int(options.get("col", "1")) - 1
             has_header = options.get("header", "no")[0] in "yt"
             rows = self._read_numbers(self._find_file(_unquote(in_file["file"]), path))[int(has_header) :]
@@ -324,7 +369,14 @@ class _Reader:
 
     def _read_numbers(self, path: Path) -> list[list[str]]:
         lines = (line.strip() for line in LINE_END.split(self._read_text(path)))
-        return [re.split(r"[\s,;]+", line) for line in lines if line]
+        return [self._split_row(line, r"[\s,;]+", path) for line in lines if line]
+
+    def _split_row(self, line: str, separator: str, path: Path) -> list[str]:
+        if len(line) > LONGEST_ROW:
+            raise _RefusedError(f"{printable(path.name)} has a line of more than {LONGEST_ROW:,} characters")
+        row = re.split(separator, line)
+        self._count_pieces(len(row))
+        return row
 
     def _edit_batch(self, pieces: Sequence[_Piece], path: Path) -> None:
         if not pieces or pieces[0].name:
@@ -333,8 +385,9 @@ class _Reader:
         if kind in self.words.left_out:
             self.left_out["batchedit"] += 1
             return
-        if kind not in self.words.classes or not PATTERN.fullmatch(pattern):
-            raise _RefusedError(f"{pieces[0].text!r} is no class and pattern of names that is read")
+        if kind not in self.words.classes or not pattern or not PATTERN.fullmatch(pattern):
+            shown = printable(shortened(pieces[0].text, 40))
+            raise _RefusedError(f"{shown!r} is no class and name, at most with one * at its end")
         if text := self._read_properties(kind, pieces[1:], path):
             self._hand_over(f"batchedit {kind}.{pattern} {text}")
 
@@ -363,6 +416,8 @@ class _Reader:
             return
         if kind not in self.words.classes:
             raise _RefusedError(f"the class {printable(kind)!r} is not read")
+        if verb == "open" and kind not in SERIES:
+            raise _RefusedError(f"a {kind} cannot be opened here, a {listed(list(SERIES))} can; write disable")
         if len(numbers) > 2 or not all(number.isdecimal() and len(number) < 3 for number in numbers):
             raise _RefusedError("beside the object give the number of a terminal, and of a conductor")
         self._hand_over(" ".join([verb, f"{kind}.{name}", *numbers]))
@@ -375,14 +430,17 @@ class _Reader:
             rows = self._read_places(self._find_file(_take_path(pieces), path))
         for row in rows:
             try:
-                self.script.places[row[0].lower()] = float(row[1]), float(row[2])
+                x, y = float(row[1]), float(row[2])
+                if not math.isfinite(x + y):
+                    raise ValueError
+                self.script.places[row[0].lower()] = x, y
             except (ValueError, IndexError):
                 raise _RefusedError(f"{printable(shortened(' '.join(row), 40))!r} is no bus with its x and y") from None
 
     def _read_places(self, path: Path) -> list[list[str]]:
         lines = (line.strip(" \t,;") for line in LINE_END.split(self._read_text(path)))
         kept = (line for line in lines if line and not line.startswith(("!", "//")))
-        return [[_unquote(part) for part in re.split(r"[\s,;=]+", line)] for line in kept]
+        return [[_unquote(part) for part in self._split_row(line, r"[\s,;=]+", path)] for line in kept]
 
 
 def _match(folder: Path, part: str) -> Path:
@@ -412,17 +470,17 @@ def _split(line: str) -> Iterator[_Piece]:
             raise _RefusedError("variables are not read; write the value in place of @")
         yield _Piece(name.lower(), plain if quoted is None else quoted[1:-1].strip(), quoted is not None)
         at = found.end()
-        if quoted is not None and at < len(line) and line[at] not in " \t,!/":
+        if at < len(line) and line[at] not in (" \t,!/" if quoted is not None else " \t,!="):
             raise _RefusedError(
-                f"cannot be read at {printable(shortened(line[at:], 20))!r}; put a blank after a bracket"
+                f"cannot be read at {printable(shortened(line[at:], 20))!r}; put blanks around brackets and quotes"
             )
 
 
 def _split_object(text: str) -> tuple[str, str]:
     kind, _, name = text.lower().partition(".")
-    if not NAME.fullmatch(name) or "//" in name:
+    if not NAME.fullmatch(name) or "//" in name or len(name) > LONGEST_WORD:
         raise _RefusedError(
-            f"{printable(shortened(text, 40))!r} is no class.name of letters, digits and signs without quotes"
+            f"{printable(shortened(text, 40))!r} is no class.name of at most {LONGEST_WORD} letters, digits and signs"
         )
     return kind, name
 
@@ -437,6 +495,12 @@ def _write(word: str, text: str) -> str:
     if not VALUE.fullmatch(text):
         odd = next(c for c in text if not VALUE.fullmatch(c))
         raise _RefusedError(f"the value of {word} holds {printable(odd)!r}; give plain names and numbers")
+    if LONG_WORD.search(text):
+        raise _RefusedError(f"{word} holds a word of more than {LONGEST_WORD} characters; give a shorter one")
+    if word in BUSES and not all(BUS.fullmatch(bus) for bus in re.split(r"[\s,]+", text.strip(" \t,")) if bus):
+        raise _RefusedError(f"the value of {word} is no name of a bus with its nodes, of one or two digits each")
+    if word in MOST and not (re.fullmatch(r"\d{1,9}(\.0*)?", text) and float(text) <= MOST[word]):
+        raise _RefusedError(f"{word} is a whole number of at most {MOST[word]:,} here")
     return f"{word}={text}" if PLAIN.fullmatch(text) else f"{word}=[{text}]"
 
 

@@ -30,6 +30,8 @@ class Words:
 
     def find(self, given: str) -> str | None:
         """The word that OpenDSS takes ``given`` for: itself, else the first one that it begins; None without one."""
+        if not given:
+            return None
         given = given.lower()
         return given if given in self.marks else next((word for word in self.order if word.startswith(given)), None)
 

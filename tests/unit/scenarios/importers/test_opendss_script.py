@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from dsse_core.errors import InvalidInputError
-from scenarios.importers.opendss.script import MOST_BYTES, MOST_STATEMENTS, read_script
+from scenarios.importers.opendss import script
+from scenarios.importers.opendss.script import MOST_BYTES, MOST_LINES, MOST_STATEMENTS, read_script
 from tests.support.levels import further
 
 CIRCUIT = """clear
@@ -44,6 +45,28 @@ HOSTILE = [
     "new generator.g bus1=b userm=./any.so",
     "redirect ../other.dss",
     "mult=(file=/etc/passwd)",
+    "mult=[file=x " + "a" * 60_000 + "]",
+    "mult=[file=x col=" + "a" * 60_000 + "!]",
+    "mult=[file=x, col=0]",
+    "mult=[file=x, col=" + "9" * 5000 + "]",
+    "set " + "loadmult=1 " * 1001,
+    "batchedit load.a*a*b$ kw=1",
+    "batchedit load.a+a+b kw=1",
+    "new linecode.c nphases=3000",
+    "new load.b phases=100000000",
+    "new loadshape.s npts=2000000000",
+    "new loadshape.s npts=(2 3 *)",
+    "open load.a",
+    "edit vsource.source sequence=neg",
+    "new generator.g bus1=b dispmode=price",
+    "new storage.s bus1=b dischargetrigger=0.5",
+    "new line.l2 bus1=b1(b9)",
+    "new line.l2 bus1=[b1(b9)]",
+    "new line.l2 bus1=b.99999999.5.6",
+    "new line.l2 bus1=" + "b" * 256,
+    "new line." + "b" * 256,
+    '"" load.b bus1=b',
+    "setbusxy bus=b x=nan y=1",
     *further(
         "EXPO voltages",
         "'export' voltages",
@@ -130,6 +153,27 @@ def test_a_statement_that_may_write_load_or_read_elsewhere_is_refused_by_its_lin
     assert problems[0].startswith("feeder.dss line 5: ")
 
 
+@pytest.mark.parametrize("verb", ["open line.l1 1", "disable line.l1", *further("set element=line.l1", "solve")])
+def test_what_may_turn_opendss_to_another_element_ends_the_continuations(tmp_path: Path, verb: str) -> None:
+    problems = refuse(write(tmp_path, f"{CIRCUIT}{verb}\n~ length=2\n"))
+    assert [problem.split(":")[0] for problem in problems] == ["feeder.dss line 6"]
+
+
+def test_a_file_of_too_many_lines_is_refused(tmp_path: Path) -> None:
+    assert refuse(write(tmp_path, "\n" * (MOST_LINES + 1))) == [f"more than {MOST_LINES:,} lines are read"]
+
+
+def test_numbers_of_files_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(script, "MOST_PIECES", 100)
+    write(tmp_path, "1\n" * 101, "many.csv")
+    write(tmp_path, "1," * script.LONGEST_ROW, "long.csv")
+    text = CIRCUIT + "".join(f"new loadshape.{name} csvfile={name}.csv\n" for name in ("long", "many"))
+    assert [re.findall("line 5|line 6|characters|values", problem) for problem in refuse(write(tmp_path, text))] == [
+        ["line 5", "characters"],
+        ["line 6", "values"],
+    ]
+
+
 def test_continuations_abbreviations_and_comments_hide_nothing(tmp_path: Path) -> None:
     text = CIRCUIT + (
         "/* a comment of lines\nexport one.csv\n*/ export two.csv\n"
@@ -205,10 +249,11 @@ def test_a_circuit_is_written_anew_with_full_names_and_plain_values(tmp_path: Pa
     write(tmp_path, "b, 1.5, 2\n! none\nSourceBus 3 4\n", "Places.CSV")
     text = """// made up
     CLEAR
+    Set DefaultBaseFreq=60
     new circuit.gone
     new line.gone bus1=x
     clear
-    Set DefaultBaseFreq=60 mode=daily
+    Set mode=daily
     New "Circuit.Toy" basekv=4.16 pu=(1 2 /)
 
     new object=linecode.C 3 0.1 Rmat=(0.1 | 0.2 0.3) units=km faultrate=3
@@ -229,8 +274,8 @@ def test_a_circuit_is_written_anew_with_full_names_and_plain_values(tmp_path: Pa
     open Line.L1 1 0
     solve mode=snap
     """
-    script = read_script(write(tmp_path, text))
-    assert [command.text for command in script.commands] == [
+    read = read_script(write(tmp_path, text))
+    assert [command.text for command in read.commands] == [
         "set defaultbasefrequency=60",
         "new circuit.toy basekv=4.16 pu=[1 2 /]",
         "new linecode.c nphases=3 r1=0.1 rmatrix=[0.1 | 0.2 0.3] units=km",
@@ -248,12 +293,12 @@ def test_a_circuit_is_written_anew_with_full_names_and_plain_values(tmp_path: Pa
         "open line.l1 1 0",
         "solve",
     ]
-    assert all(HANDED_OVER.fullmatch(command.text) for command in script.commands)
-    assert script.places == {"b": (1.5, 2.0), "sourcebus": (3.0, 4.0)}
-    assert [remark.text for remark in script.remarks] == [
+    assert all(HANDED_OVER.fullmatch(command.text) for command in read.commands)
+    assert read.places == {"b": (1.5, 2.0), "sourcebus": (3.0, 4.0)}
+    assert [remark.text for remark in read.remarks] == [
         "set mode (2), monitor (1): no power flow needs it",
     ]
-    assert script.commands[4].place == "feeder.dss line 11"
+    assert read.commands[4].place == "feeder.dss line 12"
 
 
 def test_a_circuit_is_required(tmp_path: Path) -> None:
