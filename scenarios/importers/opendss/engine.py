@@ -13,11 +13,11 @@ from collections.abc import Iterator
 from typing import Any
 
 from dsse_core import operating_system
+from scenarios.importers.opendss.script import SERIES
 
 APART = 1e-4  # share of the largest base voltage, above which voltages without these shunts are those of floating parts
 MOST_PROBLEMS = 20
 MOST_BYTES = 8 * 2**30  # of memory; 8,531 nodes take 0.3 GiB
-SERIES = ("line", "transformer", "reactor", "capacitor")
 SOURCES = ("generator", "pvsystem", "storage")
 WIDE = "vminpu=0.01 vmaxpu=10"  # per unit: loads and sources as their models have it at any voltage
 ANTIFLOAT = 0.01  # parts per million of a transformer, without which OpenDSS may not solve; it has 1
@@ -86,8 +86,16 @@ class Engine:
         return int(self.dss.ActiveClass.Count())
 
     def _find_limits(self) -> dict[str, list[float]]:
-        loads = self.dss.Loads
-        return {loads.Name(): [loads.Vminpu(), loads.Vmaxpu()] for _ in loads}
+        """vminpu and vmaxpu of loads and sources, by class.name in lower case."""
+        found = dict[str, list[float]]()
+        for name in self.dss.Circuit.AllElementNames():
+            if name.lower().partition(".")[0] in ("load", *SOURCES):
+                found[name.lower()] = [self._ask(name, "vminpu"), self._ask(name, "vmaxpu")]
+        return found
+
+    def _ask(self, name: str, word: str) -> float:
+        self.dss.Text.Command(f"? {name}.{word}")
+        return float(self.dss.Text.Result())
 
     def describe(self) -> dict[str, Any]:
         dss = self.dss
@@ -96,7 +104,7 @@ class Engine:
             "v": self._list_voltages(),
             "kv": {},
             "load_mult": dss.Solution.LoadMult(),
-            "loads": list(self._describe_loads()),
+            "loads": [],
             "sources": [],
             "elements": [],
         }
@@ -104,29 +112,29 @@ class Engine:
             dss.Circuit.SetActiveBus(name)
             found["kv"][name.lower()] = dss.Bus.kVBase()
         elements = [name.lower().split(".", 1) for name in dss.Circuit.AllElementNames()]
-        for kind, name in elements:
-            if kind in SOURCES:
-                dss.Circuit.SetActiveElement(f"{kind}.{name}")
-                if dss.CktElement.Enabled():
-                    found["sources"].append(
-                        self._describe_element(kind, name) | {"powers": list(dss.CktElement.Powers())}
-                    )
         found["regulated"] = [
             [control.Transformer().lower(), control.Winding()] for control in self._each(dss.RegControls)
         ]
         self._edit_all("transformer", "ppm_antifloat=0")
-        if not self._solve():
-            bare, size = self._list_voltages(), max(found["kv"].values(), default=0.0)
-            if all(abs(one - other) < APART * size for one, other in zip(bare, found["v"], strict=True)):
-                found["v"] = bare  # else parts without ground float
-        open_ones = set(self._close_open_lines(elements))
+        bare, size = [] if self._solve() else self._list_voltages(), max(found["kv"].values(), default=0.0)
+        if bare and all(abs(one - other) < APART * size for one, other in zip(bare, found["v"], strict=True)):
+            found["v"] = bare
+        else:  # parts without ground float
+            self._edit_all("transformer", f"ppm_antifloat={ANTIFLOAT}")
+            self._solve()
+        found["loads"] = list(self._describe_loads())
+        for kind, name in elements:
+            if kind in SOURCES and self._is_enabled(f"{kind}.{name}"):
+                found["sources"].append(self._describe_power(kind, name))
+        self._edit_all("transformer", "ppm_antifloat=0")
+        open_ends = dict(self._close_open_lines(elements))
         dss.Text.Command("buildy")
         for kind, name in elements:
             if kind in SERIES or kind == "vsource":
                 dss.Circuit.SetActiveElement(f"{kind}.{name}")
                 if dss.CktElement.Enabled():
                     element = self._describe_element(kind, name) | {"y": list(dss.CktElement.YPrim())}
-                    element["is_open"] = f"{kind}.{name}" in open_ones
+                    element["open_ends"] = open_ends.get(f"{kind}.{name}", [])
                     found["elements"].append(element | self._describe_class(kind, name))
         found["disabled"] = [f"{k}.{n}" for k, n in elements if not self._is_enabled(f"{k}.{n}")]
         found["shapes"] = list(self._describe_shapes({load["shape"] for load in found["loads"]}))
@@ -144,8 +152,8 @@ class Engine:
             if self.dss.CktElement.Enabled():
                 yield kind
 
-    def _close_open_lines(self, elements: list[list[str]]) -> Iterator[str]:
-        """Close what is open, so that its matrix is that of the closed branch."""
+    def _close_open_lines(self, elements: list[list[str]]) -> Iterator[tuple[str, list[int]]]:
+        """Close what is open, so that its matrix is that of the closed branch; yields each and its open ends."""
         element = self.dss.CktElement
         for kind, name in elements:
             if kind not in SERIES:
@@ -157,10 +165,12 @@ class Engine:
             if element.Enabled() and any(map(any, states)):
                 for end in ends:
                     element.Close(end, 0)
-                is_whole = any(all(state[: element.NumPhases()]) for state in states)
-                yield f"{kind}.{name}"
-                if not is_whole:
+                states = [state[: element.NumPhases()] for state in states]
+                open_ends = [k for k, state in enumerate(states) if all(state)]
+                is_mixed = any(any(state) and not all(state) for state in states)
+                if is_mixed or (len(ends) > 2 and 0 < len(open_ends) < len(ends)):
                     self.in_part.append(f"{kind}.{name}")
+                yield f"{kind}.{name}", open_ends
 
     def _describe_element(self, kind: str, name: str) -> dict[str, Any]:
         element = self.dss.CktElement
@@ -169,6 +179,16 @@ class Engine:
             "buses": [bus.split(".")[0].lower() for bus in element.BusNames()],
             "conductors": list(element.NodeOrder()),
             "phases": element.NumPhases(),
+        }
+
+    def _describe_power(self, kind: str, name: str) -> dict[str, Any]:
+        element = self.dss.CktElement
+        return self._describe_element(kind, name) | {
+            "kv": self._ask(f"{kind}.{name}", "kv"),
+            "limits": self.limits[f"{kind}.{name}"],
+            "is_open": any(element.IsOpen(1, conductor) for conductor in range(1, element.NumConductors() + 1)),
+            "powers": list(element.Powers()),  # kW and kvar of each conductor
+            "currents": list(element.Currents()),  # A
         }
 
     def _describe_class(self, kind: str, name: str) -> dict[str, Any]:
@@ -185,11 +205,11 @@ class Engine:
         return {}
 
     def _describe_loads(self) -> Iterator[dict[str, Any]]:
-        dss, loads = self.dss, self.dss.Loads
+        loads = self.dss.Loads
         for _ in self._each(loads):
             name = loads.Name()
             shape = next((s for s in (loads.Yearly(), loads.Daily(), loads.Duty()) if s), "")
-            yield self._describe_element("load", name) | {
+            yield self._describe_power("load", name) | {
                 "kw": loads.kW(),
                 "kvar": loads.kvar(),
                 "kv": loads.kV(),
@@ -199,9 +219,7 @@ class Engine:
                 "zip": list(loads.ZipV()),
                 "is_fixed": int(loads.Status()) == 1,
                 "is_exempt": int(loads.Status()) == 2,
-                "limits": self.limits[name],
                 "shape": shape.lower(),
-                "powers": list(dss.CktElement.Powers()),
             }
 
     def _describe_shapes(self, used: set[str]) -> Iterator[dict[str, Any]]:

@@ -33,6 +33,9 @@ from scenarios.importers.opendss.profiles import write_profiles
 from scenarios.importers.opendss.script import Script, read_script
 
 LONGEST_S = 120.0  # of OpenDSS on one circuit; 8,531 nodes take 2 s
+ALIKE = 1e-6  # share of a load's current within which it is that of OpenDSS; and of a matrix, of its transpose
+NO_CURRENT = 1e-10  # p.u., round-off of a load of nothing
+NO_SHUNT = 1e-6  # p.u., below which what an element draws that is open at one end is left out
 ROUNDING = 1e-13  # share of the largest admittance of an element, below which a sum of some is 0
 NO_RATING_A = 400.0  # of lines that state none, OpenDSS's default
 LARGEST_NUMBER = 10**9  # of a bus, taken from its name
@@ -85,6 +88,11 @@ def solve_circuit(script: Script, path: Path, longest_s: float = LONGEST_S) -> d
         except subprocess.TimeoutExpired:
             problem = f"OpenDSS has not solved it within {longest_s:g} s and was stopped"
             raise InvalidInputError(str(path), [problem]) from None
+    if done.returncode < 0:
+        text = (
+            f"OpenDSS crashed on the circuit (signal {-done.returncode}); look for a number far beyond those of grids"
+        )
+        raise InvalidInputError(str(path), [text])
     if done.returncode:
         last = printable(done.stderr.strip().splitlines()[-1] if done.stderr.strip() else "it says nothing")
         raise InvalidInputError(str(path), [f"the process of OpenDSS ended with code {done.returncode}: {last}"])
@@ -123,6 +131,8 @@ class Circuit:
             self.legs += [(load["name"], leg) for leg in self._build_load(load)]
         for of_power in self.answer["sources"]:
             self.legs += [(of_power["name"], leg) for leg in self._build_producer(of_power)]
+        if not self.problems:
+            self._check_currents()
         if self.problems:
             raise InvalidInputError(self.script.name, self.problems)
         assert feeding is not None
@@ -225,8 +235,15 @@ class Circuit:
             Y = Y[np.ix_(~is_star, ~is_star)] - to_star @ np.linalg.pinv(Y[np.ix_(is_star, is_star)]) @ to_star.T
             places = [at for at in places if at not in self.stars]
         kv = np.array([self.kv[bus] for bus, _ in places])
-        Y = (Y + Y.T) / 2 * np.outer(kv, kv) / (self.base_mva / 3)
-        return places, Y
+        return places, self._make_symmetric(element, Y) * np.outer(kv, kv) / (self.base_mva / 3)
+
+    def _make_symmetric(self, element: Mapping[str, Any], Y: np.ndarray) -> np.ndarray:
+        """The matrix without its round-off; one that is not symmetric is refused."""
+        if abs(Y - Y.T).max(initial=0.0) > ALIKE * abs(Y).max(initial=0.0):
+            self._refuse(
+                element, "its matrix is not symmetric, as where z1 and z2 differ; a branch has a symmetric one"
+            )
+        return np.asarray((Y + Y.T) / 2)
 
     def _check_nodes(self, element: Mapping[str, Any], places: Iterable[tuple[str, int]]) -> bool:
         neutral = [f"{bus}.{node}" for bus, node in places if not self._name_phase(bus, node)]
@@ -252,7 +269,7 @@ class Circuit:
         of_node = np.array(element["y"])
         kv = self.kv[bus]
         one_end = (of_node[0::2] + 1j * of_node[1::2]).reshape(6, 6).T[:3, :3] * kv**2 / (self.base_mva / 3)
-        Y = np.kron([[1, -1], [-1, 1]], (one_end + one_end.T) / 2)
+        Y = np.kron([[1, -1], [-1, 1]], self._make_symmetric(element, one_end))
         number = max(self.number.values()) + 1
         branch = self._name_branch(element, Primitive("abc", "abc", Y, np.zeros_like(Y)), number, self.number[bus])
         vm = element["kv"] / math.sqrt(3) * element["pu"] / kv
@@ -278,8 +295,30 @@ class Circuit:
             self._refuse(element, f"joins {len(buses)} buses, {listed(buses)}; an element joins two")
         elif len(buses) == 2:
             yield self._build_branch(element, places, Y, buses)
-        elif buses and not element["is_open"]:
+            closed = [bus for k, bus in enumerate(element["buses"]) if k not in element["open_ends"]]
+            if len(closed) == 1:
+                self._add_rest(element, places, Y, closed[0], shunts)
+        elif buses and not element["open_ends"]:
             self._add_shunt(element["name"], buses[0], [self._name_phase(*at) for at in places], Y, shunts)
+
+    def _add_rest(
+        self,
+        element: Mapping[str, Any],
+        places: Sequence[tuple[str, int]],
+        Y: np.ndarray,
+        bus: str,
+        shunts: dict[str, complex],
+    ) -> None:
+        """Add the charging or excitation that an element open at one end draws at the other one, ``bus``."""
+        here = np.array([at[0] == bus for at in places])
+        across = Y[np.ix_(here, ~here)]
+        rest = Y[np.ix_(here, here)] - across @ np.linalg.pinv(Y[np.ix_(~here, ~here)]) @ across.T
+        if abs(rest).max() > NO_SHUNT:
+            self._add_shunt(
+                element["name"], bus, [self._name_phase(*at) for at in places if at[0] == bus], rest, shunts
+            )
+            text = f"open at one end, what it draws at bus {bus} is a shunt there; leave it out to close the branch"
+            self.remarks.append(Remark("changed", f"{printable(element['name'])}: {text}"))
 
     def _build_branch(
         self, element: Mapping[str, Any], places: Sequence[tuple[str, int]], Y: np.ndarray, buses: Sequence[str]
@@ -299,7 +338,7 @@ class Circuit:
             branch = replace(branch, i_max=rating(amps / current * self.base_mva, self.base_mva))
         elif kva:
             branch = replace(branch, s_max=rating(kva / 1000 / share_of_power(phases[0]), self.base_mva))
-        return replace(branch, in_service=not element["is_open"])
+        return replace(branch, in_service=not element["open_ends"])
 
     def _add_shunt(self, name: str, bus: str, phases: Sequence[str], Y: np.ndarray, shunts: dict[str, complex]) -> None:
         """A shunt of the bus where it is alike at each phase, else legs of constant impedance."""
@@ -320,8 +359,7 @@ class Circuit:
         """The phases of each leg of a load or source; empty where one is no phase."""
         n, conductors = element["phases"], element["conductors"]
         bus = element["buses"][0]
-        is_delta = element.get("is_delta", len(conductors) == n)
-        if is_delta:
+        if _is_delta(element):
             pairs = [(conductors[k], conductors[(k + 1) % len(conductors)]) for k in range(n)]
         else:
             pairs = [(conductors[k], conductors[n] if len(conductors) > n else 0) for k in range(n)]
@@ -358,6 +396,38 @@ class Circuit:
             is_to_ground = len(list_phases(leg)) == 1
             yield Load(self.number[source["buses"][0]], leg, s[k] if is_to_ground else whole / len(legs))
 
+    def _check_currents(self) -> None:
+        """Refuse loads and sources that are open, or whose legs draw other currents than OpenDSS at its voltages."""
+        of_element: dict[str, list[Load]] = {}
+        for name, leg in self.legs:
+            of_element.setdefault(name, []).append(leg)
+        for element in (*self.answer["loads"], *self.answer["sources"]):
+            if element["is_open"]:
+                self._refuse(element, "is open; disable it, or close it")
+                continue
+            bus = element["buses"][0]
+            phases = [self._name_phase(bus, node) for node in element["conductors"]]
+            theirs, mine = dict.fromkeys(phases, 0j), dict.fromkeys(phases, 0j)
+            a = element["currents"]
+            for phase, re_a, im_a in zip(phases, a[0::2], a[1::2], strict=True):
+                theirs[phase] += complex(re_a, im_a) * self.kv[bus] / 1000 / (self.base_mva / 3)
+            for leg in of_element.get(element["name"], []):
+                ends = list_phases(leg.phases)
+                u = self.voltages[leg.bus, ends[0]] - (self.voltages[leg.bus, ends[1]] if ends[1:] else 0.0)
+                share = abs(u) / find_nominal_across(leg.phases)
+                s = complex(leg.s.real * share ** leg.exponents[0], leg.s.imag * share ** leg.exponents[1])
+                i = (s / u).conjugate()
+                mine[ends[0]] += i
+                if ends[1:]:
+                    mine[ends[1]] -= i
+            size = max(map(abs, (*theirs.values(), *mine.values())), default=0.0)
+            apart = max((abs(theirs[phase] - mine[phase]) for phase in phases if phase), default=0.0)
+            if not apart <= ALIKE * size + NO_CURRENT:
+                text = (
+                    f"its currents in OpenDSS are not those that its model gives, apart by {apart / size:.1g} of them"
+                )
+                self._refuse(element, f"{text}; write it as loads of its phases")
+
     @cached_property
     def voltages(self) -> dict[tuple[int, str], complex]:
         """Bus and phase of each node -> the voltage that OpenDSS finds, p.u."""
@@ -383,15 +453,15 @@ class Circuit:
             if shape["is_actual"]:
                 text = "its kW are divided by their largest, as shares"
                 yield Remark("changed", f"loadshape.{shape['name']}: {text}")
-        if opened := [element["name"] for element in self.elements if element["is_open"]]:
+        if opened := [element["name"] for element in self.elements if element["open_ends"]]:
             yield Remark("note", f"{listed(opened)}: open, kept as an open branch; of a shunt left out")
         if produced := [source["name"] for source in self.answer["sources"]]:
             text = "its constant power in the solved state, written as a load that produces it"
             yield Remark("changed", f"{listed(produced)}: {text}")
 
     def _find_beyond(self) -> dict[str, tuple[float, float]]:
-        """Loads whose voltage is beyond the limits of their model in the solved state, and these limits, p.u."""
-        v, given = self.voltages, {load["name"]: load for load in self.answer["loads"]}
+        """Loads and sources whose voltage is beyond the limits of their model as solved, and these, p.u."""
+        v, given = self.voltages, {one["name"]: one for one in (*self.answer["loads"], *self.answer["sources"])}
         names = {number: bus for bus, number in self.number.items()}
         found = dict[str, tuple[float, float]]()
         for name, leg in self.legs:
@@ -403,9 +473,13 @@ class Circuit:
         return found
 
 
+def _is_delta(element: Mapping[str, Any]) -> bool:
+    return bool(element.get("is_delta", len(element["conductors"]) == element["phases"]))
+
+
 def _find_across(load: Mapping[str, Any]) -> float:
     """The nominal voltage across a leg of a load, kV."""
-    return float(load["kv"] / (math.sqrt(3) if load["phases"] > 1 and not load["is_delta"] else 1))
+    return float(load["kv"] / (math.sqrt(3) if load["phases"] > 1 and not _is_delta(load) else 1))
 
 
 def _list_parts(load: Mapping[str, Any]) -> list[tuple[float, float, float, float]]:
@@ -449,10 +523,11 @@ def _find_splits(elements: Iterable[Mapping[str, Any]]) -> set[str]:
 
 def _number_buses(names: Sequence[str]) -> Iterator[tuple[str, int]]:
     """Each bus and its id: the number in its name, and 1000 more where that is another bus's."""
-    taken = {int(name) for name in names if name.isdecimal() and int(name) < LARGEST_NUMBER}
+    own = {name for name in names if name.isdecimal() and name == str(int(name)) and int(name) < LARGEST_NUMBER}
+    taken = set(map(int, own))
     next_free: dict[int, int] = {}
     for name in names:
-        if name.isdecimal() and int(name) < LARGEST_NUMBER:
+        if name in own:
             yield name, int(name)
             continue
         first = int("0" + "".join(re.findall(r"\d+$|^\d+|\d+(?=[a-z]$)", name)[:1])) % LARGEST_NUMBER

@@ -235,6 +235,75 @@ def test_what_no_network_can_hold_is_refused_by_name(tmp_path: Path, case: tuple
     assert any(found.startswith(problem) for found in error.value.problems), error.value.problems
 
 
+SMALL = """new circuit.small basekv=4.16 pu=1.02 mvasc3=200 mvasc1=180
+new line.main bus1=sourcebus bus2=1 r1=0.2 x1=0.3 r0=0.5 x0=0.9 c1=300 c0=100 length=2
+new line.one bus1=1 bus2=01 r1=0.2 x1=0.3 r0=0.5 x0=0.9 c1=3000 c0=1000 length=2
+new line.other like=one bus1=1 bus2=01
+new load.a bus1=01.1 phases=1 kv=2.4 kw=100 kvar=20
+new load.b bus1=01 kv=4.16 kw=100 kvar=50
+new load.nothing bus1=01 kv=4.16 kw=0 kvar=0
+set voltagebases=[4.16]
+calcvoltagebases
+"""
+TRANSFORMER = (
+    "new transformer.t buses=[1 01] conns=[wye wye] kvs=[4.16 4.16] kvas=[900 900] xhl=4 %imag=3 %noloadloss=1\n"
+)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        ("open line.other 2", "line.other: open at one end"),
+        (f"{TRANSFORMER}open transformer.t 2", "transformer.t: open at one end"),
+        *further(
+            ("open line.other 2\nopen line.other 1", "line.other: open, kept"),
+            ("new generator.g bus1=01 kv=5.5 kw=90 vminpu=0.95", "generator.g: beyond 0.95 and 1.1 p.u."),
+        ),
+    ],
+)
+def test_what_is_written_in_another_form_is_said_and_keeps_the_voltages(tmp_path: Path, case: tuple[str, str]) -> None:
+    statements, remark = case
+    path = write(tmp_path, f"{SMALL}{statements}\nsolve\n")
+    assert compare(path)[1] < 1e-8
+    assert [found.text for found in import_grid(path).remarks if found.text.startswith(remark)]
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        ("edit vsource.source z1=[0.1 0.5] z2=[0.3 0.9] z0=[0.2 0.6]", "vsource.source: its matrix is not symmetric"),
+        ("new generator.g bus1=01 kv=4.16 kw=90 kvar=30 model=2 conn=delta", "generator.g: its currents in OpenDSS"),
+        *further(
+            ("new reactor.r bus1=1 bus2=01 z1=[1 5] z2=[3 9] z0=[2 6]", "reactor.r: its matrix is not symmetric"),
+            ("new swtcontrol.s switchedobj=load.a switchedterm=1 normal=open state=open", "load.a: is open"),
+        ),
+    ],
+)
+def test_what_would_have_other_voltages_is_refused_by_name(tmp_path: Path, case: tuple[str, str]) -> None:
+    statements, problem = case
+    with pytest.raises(InvalidInputError) as error:
+        import_grid(write(tmp_path, f"{SMALL}{statements}\nsolve\n"))
+    assert [found for found in error.value.problems if found.startswith(problem)], error.value.problems
+
+
+def test_a_limit_of_memory_that_stands_is_not_raised() -> None:
+    program = (
+        "import resource; from dsse_core.operating_system import confine; resource.setrlimit(resource.RLIMIT_AS, "
+        "(2**32, 2**32)); confine(2**33); print(resource.getrlimit(resource.RLIMIT_AS)[1])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert int(done.stdout) == 2**32
+
+
+@pytest.mark.long
+def test_a_crash_of_opendss_is_named(tmp_path: Path) -> None:
+    path = write(tmp_path, SMALL)
+    script = read_script(path)
+    script.commands.append(Command("new load.c bus1=1 phases=100000000", "test"))
+    with pytest.raises(InvalidInputError, match="OpenDSS crashed on the circuit"):
+        solve_circuit(script, path)
+
+
 def test_opendss_that_takes_too_long_is_stopped(tmp_path: Path) -> None:
     path = write(tmp_path, TOY)
     with pytest.raises(InvalidInputError, match=r"has not solved it within 0\.01 s"):
