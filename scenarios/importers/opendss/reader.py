@@ -300,6 +300,8 @@ class Circuit:
                 self._add_rest(element, places, Y, closed[0], shunts)
         elif buses and not element["open_ends"]:
             self._add_shunt(element["name"], buses[0], [self._name_phase(*at) for at in places], Y, shunts)
+        elif buses and len(element["open_ends"]) == 1 and element["name"].startswith(("line.", "transformer.")):
+            self._refuse(element, f"is open at one of its ends, which are both at bus {buses[0]}; open both")
 
     def _add_rest(
         self,

@@ -275,6 +275,7 @@ def test_what_is_written_in_another_form_is_said_and_keeps_the_voltages(tmp_path
         ("new generator.g bus1=01 kv=4.16 kw=90 kvar=30 model=2 conn=delta", "generator.g: its currents in OpenDSS"),
         *further(
             ("new reactor.r bus1=1 bus2=01 z1=[1 5] z2=[3 9] z0=[2 6]", "reactor.r: its matrix is not symmetric"),
+            ("new line.l phases=1 bus1=1.1 bus2=1.2 c1=4000\nopen line.l 2", "line.l: is open at one of its ends"),
             ("new swtcontrol.s switchedobj=load.a switchedterm=1 normal=open state=open", "load.a: is open"),
         ),
     ],
