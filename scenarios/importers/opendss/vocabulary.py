@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import functools
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
+
+from dsse_core.files.bounded_parsing import parse_toml
 
 Mark = Literal["handed over", "left out", "refused"]
 MARKS: dict[str, Mark] = {"-": "left out", "!": "refused"}
@@ -48,7 +49,7 @@ class Vocabulary:
 
 @functools.cache
 def load_vocabulary() -> Vocabulary:
-    content = tomllib.loads((Path(__file__).parent / "vocabulary.toml").read_text(encoding="utf-8"))
+    content = parse_toml((Path(__file__).parent / "vocabulary.toml").read_text(encoding="utf-8"))
     return Vocabulary(
         Words.of(content["verbs"]),
         Words.of(content["options"]),

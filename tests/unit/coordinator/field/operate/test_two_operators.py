@@ -18,7 +18,7 @@ from coordinator.field.operate.operator import Operator
 from tests.support.shown_states import a_state
 
 RUN = "run"
-METERS = {"area1": ("A", "B"), "area2": ("C",)}
+METERS = {"area1": ("vm@1", "vm@2"), "area2": ("vm@3",)}
 START_MS = int(1000 * time.time())
 
 
@@ -71,15 +71,15 @@ def operator(areas: Areas, random: int, before_look: Callable[[], object] = lamb
 
 
 @pytest.mark.parametrize("second", [1, 9], ids=["with the lower number", "with the higher number"])
-@pytest.mark.parametrize("meter", ["B", "C"])
+@pytest.mark.parametrize("meter", ["vm@2", "vm@3"])
 def test_orders_of_two_operators_who_have_not_seen_each_other_add_up(tmp_path: Path, second: int, meter: str):
     areas = Areas(tmp_path)
     first, other = operator(areas, 5), operator(areas, second)
-    assert first.switch_off(["A"]) == {"A": "area1"}
-    assert other.switch_off([meter])[meter] == ("area1" if meter == "B" else "area2")
-    assert areas.meters_off() == {"A", meter}
+    assert first.switch_off(["vm@1"]) == {"vm@1": "area1"}
+    assert other.switch_off([meter])[meter] == ("area1" if meter == "vm@2" else "area2")
+    assert areas.meters_off() == {"vm@1", meter}
     areas.restart()
-    assert {m for book in areas.books.values() for event in book.begin() for m in event.meters_off} == {"A", meter}
+    assert {m for book in areas.books.values() for event in book.begin() for m in event.meters_off} == {"vm@1", meter}
 
 
 @pytest.mark.parametrize("second", [1, 9], ids=["with the lower number", "with the higher number"])
@@ -94,21 +94,21 @@ def test_an_order_that_another_operator_has_overtaken_is_given_again(tmp_path: P
     late._publishers |= {area: lose(area) for area in METERS}  # its first commands are on their way
 
     def overtake() -> None:
-        if received and "A" not in areas.meters_off() and "B" not in areas.meters_off():
-            prompt.switch_off(["B"])
+        if received and "vm@1" not in areas.meters_off() and "vm@2" not in areas.meters_off():
+            prompt.switch_off(["vm@2"])
             for area, payload in received:
                 areas.take(area, payload)  # and come after those of the other one
             late._publishers.clear()
 
     late.look._before_look = overtake  # type: ignore[attr-defined]
-    assert late.switch_off(["A"]) == {"A": "area1"}
-    assert areas.meters_off() == {"A", "B"}
+    assert late.switch_off(["vm@1"]) == {"vm@1": "area1"}
+    assert areas.meters_off() == {"vm@1", "vm@2"}
 
 
 def test_an_order_is_done_when_it_is_followed_itself_not_when_another_one_is(tmp_path: Path):
     areas = Areas(tmp_path)
-    operator(areas, 5).switch_off(["A", "B"])
+    operator(areas, 5).switch_off(["vm@1", "vm@2"])
     one, other = operator(areas, 6), operator(areas, 7)
-    assert other.switch_on(["B"]) == {"B": "area1"}
-    assert one.switch_on(["A"]) == {"A": "area1"}
+    assert other.switch_on(["vm@2"]) == {"vm@2": "area1"}
+    assert one.switch_on(["vm@1"]) == {"vm@1": "area1"}
     assert areas.meters_off() == set()

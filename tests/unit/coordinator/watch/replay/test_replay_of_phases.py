@@ -50,7 +50,8 @@ def test_recorded_rows_are_nodes_and_conductors_in_kv_and_kw_of_a_phase(recordin
             own = [row for row in rows if row["area"] == name]
             assert [row["phase"] for row in own] == list(expected.phase)
             key = ("vm_kv", "i_from_a")[at]
-            np.testing.assert_allclose([row[key] for row in own], expected[key], rtol=1e-12)
+            rounding = 1e-12 * np.nanmax(np.abs(expected[key]))  # a current of no load is a difference of large ones
+            np.testing.assert_allclose([row[key] for row in own], expected[key], rtol=1e-12, atol=rounding)
 
 
 def test_a_node_stands_once_in_a_recorded_estimate_and_its_phase_is_one(tmp_path: Path) -> None:
