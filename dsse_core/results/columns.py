@@ -19,6 +19,8 @@ Truths: TypeAlias = np.ndarray
 Times: TypeAlias = np.ndarray
 Texts: TypeAlias = Sequence[str]
 
+OF_ALL_PHASES = ("unbalance_percent", "neutral_a")  # of a bus, of a branch: the same in the row of each phase
+
 
 def list_columns(columns: Any) -> dict[str, Any]:
     """The columns of an instance that its table has."""

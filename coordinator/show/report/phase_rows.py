@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from coordinator.lab.evaluation.result import RunOutcome
+from dsse_core.results.columns import OF_ALL_PHASES
 from dsse_core.results.table import Table
-
-OF_WHOLE = ("unbalance_percent", "neutral_a")
 
 
 def show_by_site(table: Table, ids: str) -> Table:
@@ -17,7 +16,7 @@ def show_by_site(table: Table, ids: str) -> Table:
 
     Of the loss of coupled conductors, which give power to each other, or of a bank, only the sum is a loss.
     """
-    if not (known := [name for name in OF_WHOLE if name in table.columns]):
+    if not (known := [name for name in OF_ALL_PHASES if name in table.columns]):
         return table
     is_first = find_first_rows(table[ids])
     shown = {name: table[name] for name in table.columns}

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from dsse_core.grid.nodes import PHASES
+from dsse_core.results.columns import OF_ALL_PHASES
 from dsse_core.results.table import PHASE
 
 MOST_BYTES = 128 * 1024 * 1024  # of all series together
@@ -17,7 +18,6 @@ MOST_MOMENTS = 20_000
 BYTES_OF_ID = 150  # an id and its place, roughly
 KINDS = ("bus", "branch", "meter", "area")
 BY_PHASE = ("bus", "branch")  # kinds whose ids are those of a thing and of one of its phases
-OF_ALL = ("unbalance_percent", "neutral_a")  # columns of all phases together
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +73,10 @@ class Series:
 
 
 class History:
-    """The series of all kinds. ``has_phases``: of a known grid with phases, whose tables have the columns OF_ALL."""
+    """The series of all kinds. ``has_phases``: of a known grid with phases, whose tables have ``OF_ALL_PHASES``."""
 
     def __init__(self, most_bytes: int = MOST_BYTES, *, has_phases: bool = False) -> None:
-        share, (of_bus, of_branch) = most_bytes // len(KINDS), ([name] * has_phases for name in OF_ALL)
+        share, (of_bus, of_branch) = most_bytes // len(KINDS), ([name] * has_phases for name in OF_ALL_PHASES)
         self.of = {
             "bus": Series(("vm_pu", "sigma_vm_pu", "va_deg", *of_bus), share),
             "branch": Series(("p_from_kw", "q_from_kvar", "i_from_a", "loading_percent", *of_branch), share),
@@ -87,7 +87,7 @@ class History:
     def read(self, kind: str, name: str) -> dict[str, Any]:
         """Times and columns of the thing ``name`` of ``kind``; the name of a bus is its number.
 
-        With phases a column for each, such as ``vm_pu.a``, except those OF_ALL.
+        With phases a column for each, such as ``vm_pu.a``, except those OF_ALL_PHASES.
         """
         series = self.of[kind]
         if kind not in BY_PHASE:
@@ -105,5 +105,5 @@ def _join_phases(of_phases: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     for phase, past in of_phases.items():
         for name, values in past["columns"].items():
             known = dict(zip(past["time"], values, strict=True))
-            columns[name if name in OF_ALL else f"{name}.{phase}"] = [known.get(at, np.nan) for at in times]
+            columns[name if name in OF_ALL_PHASES else f"{name}.{phase}"] = [known.get(at, np.nan) for at in times]
     return {"time": times, "columns": columns}
