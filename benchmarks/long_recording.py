@@ -19,8 +19,8 @@ import psutil
 from benchmarks.measuring.figures import conclude, figures_option
 from benchmarks.measuring.machine import describe_machine
 from coordinator.lab.deployment.split import area_files
-from coordinator.lab.simulator.simulated_recording import SimulatedRecording
 from coordinator.lab.simulator.simulator import STARTED_AT, SimulatedBus
+from coordinator.lab.simulator.subscriber import SimulatedRecording
 from coordinator.lab.stages.play import play_on_simulator
 from coordinator.watch.recording.folder import list_segments
 from coordinator.watch.replay.ticks import read_ticks

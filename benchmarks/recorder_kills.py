@@ -25,9 +25,8 @@ from benchmarks.measuring.machine import describe_machine
 from benchmarks.measuring.recorded import Published, read_recorded, subscribe
 from coordinator.lab.strategy_check import check_with_strategy
 from coordinator.watch.recording.closing import close_ended
-from coordinator.watch.recording.folder import LOG, LOGS
+from coordinator.watch.recording.folder import LOG, LOGS, RECORDER
 from coordinator.watch.recording.frames import is_being_written
-from coordinator.watch.recording.order import RECORDER
 from coordinator.watch.recording.parquet import read_rows
 from scenarios.scenario import load_scenario
 

@@ -12,8 +12,7 @@ TYPE_CHECKING = False  # as that of ``typing``, which would take longer to impor
 if TYPE_CHECKING:
     from consensus_dsse.centralised import Estimate, PowerFlow, estimate, power_flow
     from consensus_dsse.grids import load_network, load_scenario
-    from consensus_dsse.reproduction import thesis
-    from consensus_dsse.studies import compare, sweep
+    from consensus_dsse.studies import compare, sweep, thesis
     from coordinator import run, simulate
     from coordinator.show.plotted_run import RunResult
     from dsse_core.errors import DsseError, InvalidInputError
@@ -58,7 +57,7 @@ _MODULES = {
     "run": "coordinator",
     "simulate": "coordinator",
     "sweep": "consensus_dsse.studies",
-    "thesis": "consensus_dsse.reproduction",
+    "thesis": "consensus_dsse.studies",
 }
 
 

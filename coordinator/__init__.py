@@ -78,7 +78,7 @@ def run(
         scenario = choose_scenario(scenario, changes=changes) if changes else scenario
         result = run_scenario(launcher, scenario, started, out, seed, strategy, timeout_s, on_update, secure, keys)
     if plots:
-        from coordinator.show.report.run_files import write_report
+        from coordinator.show.report.run_report import write_report
         from coordinator.show.report.settings import guess_arguments
 
         secured = ["--keys", str(keys)] if keys is not None else ["--secure"] if secure else []
@@ -122,7 +122,7 @@ def simulate(
     scenario = choose_scenario(scenario, changes=changes) if changes else scenario
     result = simulate_scenario(scenario, out, seed, strategy, timeout_s, on_update, links or {})
     if plots:
-        from coordinator.show.report.run_files import write_report
+        from coordinator.show.report.run_report import write_report
         from coordinator.show.report.settings import guess_arguments
 
         result = write_report(result, formats, guess_arguments(result.scenario, "simulate", links))

@@ -20,6 +20,7 @@
 import re
 
 from agents.messages.packing import WIRE_VERSION, Incarnation
+from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LONGEST_NAME
 from dsse_core.split_identity import DIGITS, NO_SPLIT, SHOWN, SplitIdentity
 
@@ -162,3 +163,28 @@ def split_of(key: str) -> SplitIdentity:
     """The split that a presence token states; of an edited file only the first digits of its content."""
     found = INCARNATION.fullmatch(key.rpartition("/")[2])
     return SplitIdentity(found[3], float(int(found[4], 16)), found[5] or "") if found and found[3] else NO_SPLIT
+
+
+def default_run_id(scenario: str) -> str:
+    """The name of a scenario, reduced to the letters that a key may contain: by default the name of its run."""
+    return re.sub(r"[^a-z0-9_-]+", "-", scenario.lower())[:LONGEST_NAME].strip("-") or "run"
+
+
+def choose_run_id(scenario: str, given: str | None) -> str:
+    """``given``, or the default of the scenario's name.
+
+    Raises:
+        InvalidInputError: ``given`` has letters that a key may not contain.
+    """
+    return check_run_id(given) if given is not None else default_run_id(scenario)
+
+
+def check_run_id(given: str) -> str:
+    """``given``, if it may be a part of a key.
+
+    Raises:
+        InvalidInputError: it has letters that a key may not contain.
+    """
+    if not NAME.fullmatch(given):
+        raise InvalidInputError("run", [f"{given!r} may only contain a-z, 0-9, _ and -, {LONGEST_NAME} at most"])
+    return given

@@ -19,11 +19,11 @@ import click
 import psutil
 
 from agents.protocol.quality import GOOD
+from agents.security.access import access_of
 from benchmarks.measuring.figures import conclude, figures_option
 from benchmarks.measuring.live_system import GAP, LiveSystem
 from benchmarks.measuring.machine import describe_machine
 from coordinator.lab.deployment.certificates import create_keys
-from coordinator.lab.deployment.run_access import access_of
 from coordinator.lab.strategy_check import check_with_strategy
 from scenarios.scenario import load_scenario
 

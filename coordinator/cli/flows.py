@@ -46,7 +46,7 @@ def flows(
     from coordinator.watch.observe.area_flows import make_area_flows
     from coordinator.watch.observe.attachment import attach, wait_for_state
     from coordinator.watch.observe.run_address import RunAddress
-    from coordinator.watch.tables.table_files import rows_as_json
+    from coordinator.watch.tables import rows_as_json
 
     end_orderly_on_signals()
     content = load_area_file(area_file, list_strategies())

@@ -16,7 +16,7 @@ from coordinator.cli.terminal import json_option, notify, show
 from coordinator.watch.run_folder import result_folder
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
-    from coordinator.watch.tables.table_files import Tables
+    from coordinator.watch.tables import Tables
 
 TABLES = ("buses", "branches", "meters", "areas")
 CHOICES = (*TABLES, "scans")
@@ -74,7 +74,7 @@ def check_parquet_option(parquet: bool) -> None:
     Raises:
         InvalidInputError: pyarrow is not installed."""
     if parquet:
-        from coordinator.watch.tables.table_files import check_parquet
+        from coordinator.watch.tables import check_parquet
 
         check_parquet()
 
@@ -94,7 +94,7 @@ def hand_over(
     if output.folder is not None:
         write_files(output.folder, output.parquet, tables, content())
     if output.as_json:
-        from coordinator.watch.tables.table_files import tables_as_json
+        from coordinator.watch.tables import tables_as_json
 
         show(json.dumps(content() | tables_as_json(tables), allow_nan=False))
     elif output.csv:
@@ -110,7 +110,7 @@ def hand_over(
 
 def write_files(folder: Path, parquet: bool, tables: Tables, content: dict[str, Any]) -> None:
     """Write ``content`` as result.json, and the tables, with ``parquet`` also as Parquet."""
-    from coordinator.watch.tables.table_files import write_json, write_parquet, write_tables
+    from coordinator.watch.tables import write_json, write_parquet, write_tables
 
     _ = tables.buses  # made before anything is written: of many scans they may be too large
     write_json(folder / "result.json", content)

@@ -66,18 +66,18 @@ def split(
     Examples:  dsse split ieee33 --out areas --connect tcp/192.0.2.7:7447
                dsse split ieee33 --out areas --secure
     """
+    from agents.messages.keys import choose_run_id
     from coordinator.lab.deployment.endpoints import choose_area_endpoints
     from coordinator.lab.deployment.split import write_area_files
     from coordinator.lab.evaluation.evaluation import choose_scenario
     from coordinator.lab.strategy_check import check_with_strategy
-    from coordinator.watch.observe.run_id import choose_run_id
     from scenarios.files.whole_folder import written_whole
 
     prepared = check_with_strategy(choose_scenario(scenario, seed))
     endpoints = choose_endpoints(endpoints, secure)
     direct = prepared.transport.kind == "neighbours"
     area_endpoints = choose_area_endpoints(prepared, "tls" if secure else "tcp") if direct else {}
-    run = choose_run_id(prepared, run_id)
+    run = choose_run_id(prepared.name, run_id)
     with written_whole(out) as new:
         names = [path.name for _, path in write_area_files(prepared, run, endpoints, new, area_endpoints)]
     files = [out / name for name in names]
@@ -152,12 +152,12 @@ def router(
 
 def _access_of(scenario: str, run_id: str | None) -> Access:
     """Processes and rights of a run of ``scenario``."""
-    from coordinator.lab.deployment.run_access import access_without_keys
-    from coordinator.watch.observe.run_id import choose_run_id
+    from agents.messages.keys import choose_run_id
+    from agents.security.access import access_without_keys
     from scenarios.scenario import load_scenario
 
     loaded = load_scenario(scenario)
-    return access_without_keys(loaded.partition, choose_run_id(loaded, run_id), loaded.reading_rules)
+    return access_without_keys(loaded.partition, choose_run_id(loaded.name, run_id), loaded.reading_rules)
 
 
 @command(
@@ -194,12 +194,12 @@ def plant(
     \b
     Example:  dsse plant ieee33 --connect tcp/192.0.2.7:7447
     """
+    from agents.messages.keys import choose_run_id
     from coordinator.lab.deployment.endpoints import known_area_endpoints
     from coordinator.lab.evaluation.evaluation import choose_scenario
     from coordinator.lab.plant.plant import run_plant
     from coordinator.lab.plant.scans import OwnScans
     from coordinator.lab.strategy_check import check_with_strategy
-    from coordinator.watch.observe.run_id import choose_run_id
 
     prepared = check_with_strategy(choose_scenario(scenario, seed))
     every = every or prepared.run.scan_s or prepared.renew_s
@@ -211,7 +211,7 @@ def plant(
     endpoints = choose_endpoints(endpoints, keys is not None)
     return run_plant(
         OwnScans(prepared, many=bool(every)),
-        choose_run_id(prepared, run_id),
+        choose_run_id(prepared.name, run_id),
         endpoints,
         timeout,
         scan,
@@ -276,15 +276,15 @@ def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id
                dsse keys create ieee33 --host grid-a.example --host 192.0.2.7
                dsse keys create my/neighbours.toml --host area1=grid-a.example
     """
+    from agents.messages.keys import choose_run_id
+    from agents.security.access import access_of
     from agents.security.credential_files import AUTHORITY
     from coordinator.lab.deployment.certificates import create_keys
-    from coordinator.lab.deployment.run_access import access_of
-    from coordinator.watch.observe.run_id import choose_run_id
     from scenarios.reading_rules import find_gateway_remark
     from scenarios.scenario import load_scenario
 
     loaded = load_scenario(scenario)
-    access = access_of(loaded.partition, choose_run_id(loaded, run_id), loaded.reading_rules)
+    access = access_of(loaded.partition, choose_run_id(loaded.name, run_id), loaded.reading_rules)
     create_keys(out, access, days, hosts, direct=loaded.transport.kind == "neighbours", apart=True)
     lines = [
         f"{out}: a folder for each of {', '.join(access.names)}, valid for {days:g} days",

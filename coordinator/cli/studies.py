@@ -348,7 +348,7 @@ def thesis(tables: tuple[str, ...], summary: bool, out: Path | None, as_json: bo
     """
     from coordinator.lab.thesis.comparison import as_one_table, compare_tables, format_compared, format_summary
     from coordinator.watch.run_folder import result_folder
-    from coordinator.watch.tables.table_files import rows_as_json
+    from coordinator.watch.tables import rows_as_json
     from dsse_core.files.drafts import whole_file
 
     end_orderly_on_signals()

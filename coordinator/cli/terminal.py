@@ -230,11 +230,11 @@ def finish_run(result: RunResult, formats: Sequence[str] | None, parquet: bool, 
     if result.unwritten:
         return _report_unwritten(result)
     if parquet:
-        from coordinator.watch.tables.table_files import write_parquet
+        from coordinator.watch.tables import write_parquet
 
         write_parquet(result.folder, result.tables)
     if formats is not None:
-        from coordinator.show.report.run_files import write_report
+        from coordinator.show.report.run_report import write_report
 
         if (written := write_report(result, formats, given_arguments())).unwritten:
             return _report_unwritten(written)

@@ -8,10 +8,9 @@ from pathlib import Path
 
 from agents.messages.keys import telemetry_key
 from agents.runtime.presence import begin_incarnation
-from agents.security.access import Access
+from agents.security.access import Access, access_of
 from coordinator.lab.deployment.certificates import create_keys
 from coordinator.lab.deployment.endpoints import choose_area_endpoints
-from coordinator.lab.deployment.run_access import access_of
 from coordinator.lab.deployment.split import write_area_files
 from coordinator.lab.plant.telemetry_messages import make_payloads
 from scenarios.scenario import load_scenario

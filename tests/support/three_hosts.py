@@ -15,8 +15,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from agents.messages.packing import StateMessage
+from agents.security.access import access_of
 from coordinator.lab.deployment.certificates import create_keys
-from coordinator.lab.deployment.run_access import access_of
 from coordinator.lab.deployment.split import write_area_files
 from coordinator.lab.evaluation.comparison import Gap
 from scenarios.scenario import load_scenario

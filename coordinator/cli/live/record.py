@@ -59,7 +59,7 @@ def record(address: RunAddress, out: Path | None, limit_gb: float | None, scenar
     from coordinator.lab.evaluation.evaluation import choose_scenario
     from coordinator.watch.observe.attachment import join_run
     from coordinator.watch.recording.bus_recorder import record_from
-    from coordinator.watch.recording.order import Order
+    from coordinator.watch.recording.folder import RecordingOrder
     from coordinator.watch.recording.parquet import has_parquet
     from dsse_core.files.installation import install_command
 
@@ -74,7 +74,7 @@ def record(address: RunAddress, out: Path | None, limit_gb: float | None, scenar
             if not has_parquet():
                 notify(f"note: pyarrow is not installed, so the logs stay logs; {install_command('parquet')}")
 
-        record_from(session, Order(folder, run, files, limit_gb), on_begun)
+        record_from(session, RecordingOrder(folder, run, files, limit_gb), on_begun)
     return 0
 
 

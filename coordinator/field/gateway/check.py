@@ -16,7 +16,7 @@ from coordinator.field.gateway.maps.map_file import GatewayMap
 from coordinator.field.gateway.maps.points import Point
 from coordinator.field.gateway.plausibility import Read, Schedule, find_common_mistake, find_schedule, find_suspects
 from coordinator.field.gateway.reconnection import Link
-from coordinator.watch.tables.text_table import format_table
+from coordinator.watch.tables import format_table
 from dsse_core.errors import PowerFlowDivergedError
 from dsse_core.grid.measurement import Source
 from dsse_core.printable import listed, printable

@@ -12,7 +12,7 @@ from agents.protocol.quality import assess_from_outside
 from coordinator.field.gateway.interface import Result
 from coordinator.watch.observe.area_flows import make_area_flows
 from coordinator.watch.observe.watcher import Watcher
-from coordinator.watch.tables.table_files import rows_as_json
+from coordinator.watch.tables import rows_as_json
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.partition import Area
 

@@ -25,7 +25,7 @@ from coordinator.watch.observe.observer import Observer, Sample
 from coordinator.watch.observe.summary import Summary, summarise
 from coordinator.watch.observe.view_json import describe_causes, describe_summary
 from coordinator.watch.observe.watcher import count_exchanges
-from coordinator.watch.tables.table_files import write_json, write_tables
+from coordinator.watch.tables import write_json, write_tables
 from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.partition import Area

@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from agents.messages.keys import default_run_id
 from agents.security.access import COORDINATOR, PLANT
 from agents.security.credential_files import AUTHORITY, credentials_in
 from agents.strategies.installed import load_strategy
@@ -42,7 +43,6 @@ from coordinator.lab.strategy_check import plan_with_strategy
 from coordinator.watch.observe.event_log import EventLog
 from coordinator.watch.observe.observer import Observer
 from coordinator.watch.observe.progress import UPDATE_S, Progress, describe_progress
-from coordinator.watch.observe.run_id import default_run_id
 from coordinator.watch.run_folder import EVENTS, PARTS, RECORDING, make_run_folder
 from dsse_core.estimation.plan import FEWEST_BUSES_OF_RADIAL
 from dsse_core.linear import needs_compiled_code
@@ -75,9 +75,9 @@ def run_scenario(
     scenario = choose_scenario(scenario, seed, strategy, timeout_s)
     _preload(launcher, scenario)  # beside the check, which in a large grid takes as long
     plan = plan_with_strategy(scenario)
-    folder = make_run_folder(out, default_run_id(scenario), PARTS)
+    folder = make_run_folder(out, default_run_id(scenario.name), PARTS)
     with ExitStack() as at_the_end, EventLog(folder / EVENTS, started) as events:
-        run_id = f"{default_run_id(scenario)}-{secrets.token_hex(4)}"
+        run_id = f"{default_run_id(scenario.name)}-{secrets.token_hex(4)}"
         keys = _find_keys(scenario, run_id, launcher.mark, at_the_end, secure, keys)
         system = System(launcher, scenario, run_id, folder, keys=keys)
         system.scan_every_s = scenario.renew_s
@@ -133,8 +133,8 @@ def _find_keys(
     """
     if keys is None and not secure:
         return None
+    from agents.security.access import access_of
     from coordinator.lab.deployment.certificates import check_keys, create_keys  # not needed by most runs
-    from coordinator.lab.deployment.run_access import access_of
 
     access = access_of(scenario.partition, run_id, scenario.reading_rules)
     direct = scenario.transport.kind == "neighbours"

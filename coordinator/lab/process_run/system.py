@@ -10,17 +10,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from agents.security.access import PLANT, ROUTER, ROUTERS, SECOND_ROUTER
+from agents.security.access import PLANT, ROUTER, ROUTERS, SECOND_ROUTER, access_without_keys
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session, TransportError, warn_of_strangers
 from coordinator.lab.deployment.endpoints import choose_area_endpoints
-from coordinator.lab.deployment.run_access import access_without_keys
 from coordinator.lab.deployment.split import area_files, write_area_files
 from coordinator.lab.plant.scans import MadeScan, OwnScans
 from coordinator.lab.process_run.fork_server import Ended, Started
 from coordinator.lab.process_run.processes import Launcher, check_open_files, read_end
-from coordinator.watch.recording.folder import LOG, LOGS
-from coordinator.watch.recording.order import RECORDER, Order
+from coordinator.watch.recording.folder import LOG, LOGS, RECORDER, RecordingOrder
 from dsse_core import operating_system
 from dsse_core.limits import LONGEST_S
 from scenarios.scenario import Scenario
@@ -120,7 +118,7 @@ class System:
             TransportError: the recorder has ended.
         """
         files = area_files(self.scenario, self.id, self.endpoints, self._area_endpoints)
-        order = Order(folder.absolute(), self.id, files, limit_gb, closes=False)
+        order = RecordingOrder(folder.absolute(), self.id, files, limit_gb, closes=False)
         target = "coordinator.watch.recording.bus_recorder:run_recorder"
         self._order(RECORDER, target, order, self.endpoints, self.keys, self.direct, stop_last=True)
         while not any((folder / LOGS).glob(f"*{LOG}")):

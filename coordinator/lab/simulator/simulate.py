@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from agents.messages.keys import default_run_id
 from agents.messages.packing import ReadingsMessage, StateMessage
 from agents.security.access import ROUTERS
 from coordinator.lab.deployment.split import area_files
@@ -21,13 +22,11 @@ from coordinator.lab.evaluation.evaluation import (
 from coordinator.lab.evaluation.result import RunOutcome, RunResult, write_files
 from coordinator.lab.evaluation.used_readings import UsedReadings
 from coordinator.lab.plant.held_readings import HeldReadings
-from coordinator.lab.simulator.simulated_recording import SimulatedRecording
 from coordinator.lab.simulator.simulator import STARTED_AT, SimulatedBus
-from coordinator.lab.simulator.subscriber import Subscriber
+from coordinator.lab.simulator.subscriber import SimulatedRecording, Subscriber
 from coordinator.lab.strategy_check import check_with_strategy
 from coordinator.watch.observe.event_log import EventLog
 from coordinator.watch.observe.progress import UPDATE_S, Progress, describe_progress
-from coordinator.watch.observe.run_id import default_run_id
 from coordinator.watch.observe.state_log import StateLog
 from coordinator.watch.run_folder import RECORDING, make_run_folder
 from scenarios.faults.faults import LinkChanges
@@ -52,7 +51,7 @@ def simulate_scenario(
 ) -> RunResult:
     """Runs ``scenario`` on the simulator and writes the files of a run; see ``coordinator.simulate``."""
     scenario = check_with_strategy(choose_scenario(scenario, seed, strategy, timeout_s, links))
-    folder = make_run_folder(out, default_run_id(scenario))
+    folder = make_run_folder(out, default_run_id(scenario.name))
     with EventLog(folder / "events.jsonl", 0.0) as events:
         recording = _begin_recording(scenario, folder / RECORDING)
         simulation = Simulation(scenario, events, on_update, recording)
@@ -100,7 +99,7 @@ class Simulation:
         self._schedule = FaultSchedule.of(scenario.faults.events)
         self._on_update = on_update
         self._subscriber = subscriber or Subscriber()
-        self.id = f"{default_run_id(scenario)}-{scenario.seed % 2**32:08x}"  # as long as that of processes
+        self.id = f"{default_run_id(scenario.name)}-{scenario.seed % 2**32:08x}"  # as long as that of processes
         self._observer = make_observer(scenario, self.id)
         self._telemetry = make_telemetry(scenario)
         self._centralised = estimate_centralised(scenario, self._telemetry)

@@ -22,7 +22,7 @@ from coordinator.lab.studies.study_row import (
 )
 from coordinator.lab.studies.sweep_plan import hash_scenario
 from coordinator.watch.run_folder import make_run_folder
-from coordinator.watch.tables.text_table import format_table
+from coordinator.watch.tables import format_table
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.drafts import draft_folder, remove_leftovers, whole_file
 from dsse_core.files.wording import describe_unknown

@@ -9,7 +9,7 @@ from importlib.resources import files
 import numpy as np
 
 from coordinator.lab.thesis.counterparts import BASES, COUNTERPARTS, QUANTITIES, Counterpart, ThesisRuns
-from coordinator.watch.tables.text_table import format_table
+from coordinator.watch.tables import format_table
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_parsing import parse_json
 from dsse_core.files.wording import describe_unknown

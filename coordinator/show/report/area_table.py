@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from coordinator.watch.tables.text_table import format_table
+from coordinator.watch.tables import format_table
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.partition import Partition
 from dsse_core.printable import printable

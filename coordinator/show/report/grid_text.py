@@ -11,7 +11,7 @@ import numpy as np
 from coordinator.lab.evaluation.scan_estimates import ScanEstimates
 from coordinator.show.report.number_cells import BLANK, place, write_fixed, write_significant, write_texts
 from coordinator.show.report.phase_rows import find_first_rows, show_by_site
-from coordinator.watch.tables.text_table import format_table
+from coordinator.watch.tables import format_table
 from dsse_core.estimation.bad_data import BadDataReport, SuspectKept
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.printable import all_printable, printable, shortened

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from coordinator.lab.evaluation.result import RunResult
+from coordinator.show.figures.run_figures import draw_run, save_figures
 from coordinator.show.figures.style import Drawing
 from coordinator.show.report.page import MAX_ROWS, Page, PageTable, write_page
 from coordinator.show.report.phase_rows import find_first_rows, show_by_site
@@ -90,13 +90,19 @@ OF_AREAS: tuple[Column, ...] = (
 )
 
 
-def write_run_report(result: RunResult, drawings: Sequence[Drawing], arguments: Sequence[str]) -> Path:
-    """Writes the report into the run folder, and returns its path. ``arguments``: of the command ``dsse`` of the run.
+def write_report(result: RunResult, formats: Sequence[str], arguments: Sequence[str]) -> RunResult:
+    """Writes the report, and the figures in each of ``formats``, into the run folder.
 
-    Raises:
-        OSError: the file cannot be written.
+    ``arguments``: of the command ``dsse`` that repeats the run. Returns ``result``; its ``unwritten`` names the first
+    file that could not be written, and the reason.
     """
-    return write_page(make_run_page(result, drawings, arguments), result.folder)
+    drawings = draw_run(result)
+    try:
+        write_page(make_run_page(result, drawings, arguments), result.folder)
+        save_figures(drawings, result.folder, formats)
+    except OSError as error:
+        return replace(result, unwritten=f"{error.filename or result.folder}: {error.strerror}")
+    return result
 
 
 def make_run_page(result: RunResult, drawings: Sequence[Drawing], arguments: Sequence[str]) -> Page:

@@ -7,7 +7,7 @@ from coordinator.lab.evaluation.result import AreaResult, RunOutcome, RunResult
 from coordinator.lab.evaluation.verdict import Verdict
 from coordinator.show.report.phase_rows import describe_unbalance
 from coordinator.watch.observe.causes import write_lines
-from coordinator.watch.tables.text_table import format_table
+from coordinator.watch.tables import format_table
 from dsse_core.grid.partition import Area
 from dsse_core.printable import printable, printable_lines
 from dsse_core.split_identity import describe_other

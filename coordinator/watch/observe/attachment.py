@@ -13,6 +13,7 @@ from agents.messages.keys import (
     NAME,
     all_gateways,
     all_states,
+    check_run_id,
     of_any_version,
     publisher_of,
     run_of,
@@ -27,7 +28,6 @@ from agents.security.credential_files import credentials_in
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session, TransportError
 from coordinator.watch.observe.run_address import RunAddress
-from coordinator.watch.observe.run_id import check_run_id
 from coordinator.watch.observe.updates import Updates
 from coordinator.watch.observe.view import OVER_S
 from coordinator.watch.observe.watched_keys import (

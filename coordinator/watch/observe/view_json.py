@@ -10,7 +10,7 @@ from typing import Any
 from coordinator.watch.observe.causes import Cause
 from coordinator.watch.observe.summary import Summary
 from coordinator.watch.observe.view import AreaView, Extreme, View
-from coordinator.watch.tables.table_files import columns_as_json
+from coordinator.watch.tables import columns_as_json
 from dsse_core.results.table import Table
 
 READ_BY_CAUSES = "meetings", "noted", "vanished"  # in the causes, in words

@@ -24,8 +24,7 @@ from coordinator.watch.observe.updates import Updates
 from coordinator.watch.observe.watched_keys import PresenceByName, command_keys, processes_of, readings_keys, state_keys
 from coordinator.watch.recording.closing import Closer, close_ended, remove_oldest
 from coordinator.watch.recording.entries import APPEARED, MESSAGE, VANISHED, Entry, note
-from coordinator.watch.recording.folder import begin_writing
-from coordinator.watch.recording.order import Order
+from coordinator.watch.recording.folder import RecordingOrder, begin_writing
 from coordinator.watch.recording.recorder import Recorder, left
 from coordinator.watch.recording.segment_log import SegmentLog
 from dsse_core import operating_system
@@ -39,7 +38,11 @@ TIDY_S = 10.0  # between two looks at the size of the recording
 
 
 def run_recorder(
-    order: Order, endpoints: Sequence[str], keys: Path | None = None, direct: bool = False, timeout_s: float = 10.0
+    order: RecordingOrder,
+    endpoints: Sequence[str],
+    keys: Path | None = None,
+    direct: bool = False,
+    timeout_s: float = 10.0,
 ) -> int:
     """Records as a process of a run until SIGTERM or Ctrl-C. Returns 0, or 2 after a user's mistake."""
     start_log()
@@ -53,7 +56,7 @@ def run_recorder(
     return 0
 
 
-def record_from(session: Session, order: Order, on_begun: Callable[[], None] = lambda: None) -> None:
+def record_from(session: Session, order: RecordingOrder, on_begun: Callable[[], None] = lambda: None) -> None:
     """Records until SIGTERM, SIGINT or, without keys, SIGHUP. With keys, SIGHUP renews them.
 
     ``on_begun``: called when the recorder is on the bus; all messages that arrive later are written.
@@ -116,7 +119,7 @@ def _listen(session: Session, run: str, areas: Collection[str] | None, arrivals:
 
 def _serve(
     session: Session,
-    order: Order,
+    order: RecordingOrder,
     arrivals: Updates,
     asked: PresenceByName,
     recorder: Recorder,
@@ -143,7 +146,7 @@ def _serve(
     recorder.take(arrivals.take(0.0))
 
 
-def _keep_limit(order: Order, limit: float, recorder: Recorder) -> None:
+def _keep_limit(order: RecordingOrder, limit: float, recorder: Recorder) -> None:
     with suppress(OSError):
         if removed := remove_oldest(order.folder, limit):
             recorder.take([note(time.time(), "removed", segments=removed, limit_gb=order.limit_gb)])

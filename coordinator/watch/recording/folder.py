@@ -1,4 +1,4 @@
-"""The folder of a recording: its layout, its run, and the lock that lets a single recorder write it.
+"""The folder of a recording: its order, layout and run, and the lock that lets a single recorder write it.
 
 ``recording.json`` names the run, ``areas/`` holds the area files where they are known, ``log/`` the logs, and
 ``states/``, ``buses/`` and so on the closed tables. A *segment*, of an hour or less, has one log, and after closing one
@@ -33,6 +33,28 @@ ABOUT, AREAS, LOGS = "recording.json", "areas", "log"
 TABLES = ("states", "buses", "branches", "readings", "events")
 LOG, PARQUET = ".log", ".parquet"
 FORMAT = 1
+RECORDER = "recorder"  # the process of a run
+GIB = 2**30  # bytes
+
+
+@dataclass(frozen=True)
+class RecordingOrder:
+    """The order to a recorder.
+
+    ``files``: area files, where known. ``limit_gb``: largest size of the folder, GiB; None: no limit. ``closes``: the
+    recorder itself closes the last segments at its end.
+    """
+
+    folder: Path
+    run: str
+    files: Sequence[Configuration] = ()
+    limit_gb: float | None = None
+    closes: bool = True
+
+    @property
+    def limit(self) -> float | None:
+        """Largest size of the folder, bytes; None: no limit."""
+        return self.limit_gb * GIB if self.limit_gb else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import pytest
 
+from agents.security.access import access_of
 from coordinator.lab.deployment.certificates import create_keys
-from coordinator.lab.deployment.run_access import access_of
 from coordinator.lab.deployment.split import write_area_files
 from scenarios.scenario import load_scenario
 from tests.support.dsse_command import ENVIRONMENT, free_endpoint

@@ -22,7 +22,7 @@ from dsse_core.grid.columns import Records
 
 ROOT = Path(__file__).parents[3]
 MODULES = [
-    *("consensus_dsse.grids", "consensus_dsse.centralised", "consensus_dsse.reproduction", "consensus_dsse.studies"),
+    *("consensus_dsse.grids", "consensus_dsse.centralised", "consensus_dsse.studies"),
     "coordinator",
     *("dsse_core.estimation.batch", "dsse_core.estimation.plan"),
 ]

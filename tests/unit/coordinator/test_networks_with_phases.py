@@ -28,8 +28,7 @@ from coordinator.show.figures.residuals_figure import draw_residuals
 from coordinator.show.figures.style import Drawing, styled
 from coordinator.show.report.grid_text import format_state
 from coordinator.show.report.phase_rows import describe_unbalance
-from coordinator.show.report.run_files import write_report
-from coordinator.show.report.run_report import make_run_page
+from coordinator.show.report.run_report import make_run_page, write_report
 from coordinator.show.report.text import format_verdict
 from coordinator.show.web.drawing import draw_scenario, draw_states
 from coordinator.show.web.moment import Moments, encode_json

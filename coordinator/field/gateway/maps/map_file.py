@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from agents.messages.keys import check_run_id, default_run_id
 from coordinator.field.gateway.interface import Sink, Source
 from coordinator.field.gateway.maps.installed import load_sink, load_source
 from coordinator.field.gateway.maps.map_tables import MapFile, ReadingTable
 from coordinator.field.gateway.maps.points import Point, find_point_problems, make_point
-from coordinator.watch.observe.run_id import check_run_id, default_run_id
 from dsse_core.endpoints import find_problems_in
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.strict_table import Table, fit_partly, load_partly
@@ -92,7 +92,7 @@ def load_map(path: Path) -> GatewayMap:
     with _noted(problems):
         scenario = None if "scenario" in head.wrong else _load_scenario_of(file, path)
     with _noted(problems, "run: "):
-        run = default_run_id(scenario) if file.run is None and scenario else check_run_id(file.run or "none")
+        run = default_run_id(scenario.name) if file.run is None and scenario else check_run_id(file.run or "none")
     with _noted(problems):
         source = SourceOf(*load_source(file.source, path.parent)) if file.source is not None else None
     sinks = []

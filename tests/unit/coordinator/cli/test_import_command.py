@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.watch.observe.run_id import default_run_id
+from agents.messages.keys import default_run_id
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from scenarios.files.network_file import load_case
 from scenarios.files.readings.file import save_readings
@@ -100,9 +100,9 @@ def test_runs_of_two_imports_do_not_share_a_name(dsse, tmp_path: Path, case: Pat
     assert dsse("import", other, "--out", tmp_path / "a")[0] == 0
     assert dsse("import", other, "--out", tmp_path / "b", "--name", 't"own\n' + 300 * "n")[0] == 0
     one, two = (load_scenario(tmp_path / folder / "scenario.toml") for folder in "ab")
-    assert (one.name, one.network.name, default_run_id(one)) == ("Harbour East", "Harbour East", "harbour-east")
+    assert (one.name, one.network.name, default_run_id(one.name)) == ("Harbour East", "Harbour East", "harbour-east")
     assert two.name.startswith(r't"own\nnnn')
-    assert default_run_id(two) == "t-own-" + 58 * "n"
+    assert default_run_id(two.name) == "t-own-" + 58 * "n"
 
 
 def test_a_case_that_is_not_understood_leaves_nothing_behind(dsse, tmp_path: Path, case: Path) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from coordinator.lab.evaluation.scan_estimates import estimate_whole_grid, load_scans_of, with_one_scan
-from coordinator.watch.tables.table_files import write_tables
+from coordinator.watch.tables import write_tables
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.columns import Records

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.watch.observe.run_id import default_run_id
+from agents.messages.keys import default_run_id
 from dsse_core.errors import InvalidInputError
 from scenarios.files.shipped_files import find_shipped
 from scenarios.scenario import load_scenario
@@ -82,7 +82,7 @@ def test_a_name_of_300_letters_does_not_pass_the_check_to_fail_later(changes: di
 def test_a_file_with_a_name_of_200_letters_has_a_run_of_64(tmp_path: Path) -> None:
     path = tmp_path / (200 * "a" + ".toml")
     path.write_text(GOOD, encoding="utf-8")
-    assert default_run_id(load_scenario(path)) == 64 * "a"
+    assert default_run_id(load_scenario(path).name) == 64 * "a"
 
 
 def test_a_missing_key_is_named_with_its_meaning(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coordinator.watch.observe.run_id import default_run_id
+from agents.messages.keys import default_run_id
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.estimator import estimate_state
 from dsse_core.grid.measurement import MeasurementKind, Meter, Source
@@ -92,7 +92,7 @@ def test_an_imported_scenario_has_the_name_of_its_network_else_that_of_its_file(
     path, _ = write_imported(tmp_path / "town", imported(tmp_path, net), 1)
     scenario = load_scenario(path)
     assert (scenario.name, scenario.network.name) == (name, name)
-    assert default_run_id(scenario) == name.lower().replace(" ", "-")
+    assert default_run_id(scenario.name) == name.lower().replace(" ", "-")
 
 
 def check_power_flow(grid: Imported, net: Any) -> None:

@@ -12,13 +12,12 @@ import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from agents.security.access import Access
+from agents.security.access import Access, access_of
 from agents.security.access_file import ACCESS_FILE, load_access, save_access
 from agents.security.credential_files import credentials_in
 from agents.security.credentials import load_keys
 from coordinator.cli.main import run_command
 from coordinator.lab.deployment.certificates import HERE, check_keys, create_keys
-from coordinator.lab.deployment.run_access import access_of
 from dsse_core.errors import InvalidInputError
 from dsse_core.reading_rules import ANYBODY, ReadingRules
 from scenarios.scenario import load_scenario

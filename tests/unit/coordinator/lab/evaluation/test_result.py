@@ -18,8 +18,7 @@ from coordinator.lab.evaluation.comparison import Voltages, compare, largest_gap
 from coordinator.lab.evaluation.result import RunResult, as_json, make_area_results, write_result
 from coordinator.lab.evaluation.verdict import make_verdict
 from coordinator.lab.simulator.simulate import simulate_scenario
-from coordinator.show.report.run_files import write_report
-from coordinator.show.report.run_report import make_run_page
+from coordinator.show.report.run_report import make_run_page, write_report
 from coordinator.show.report.text import format_verdict
 from coordinator.watch.observe.observer import Observer
 from dsse_core.estimation.bad_data import process_bad_data

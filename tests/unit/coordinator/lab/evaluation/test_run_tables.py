@@ -14,7 +14,7 @@ import pytest
 from coordinator.lab.evaluation.result import RunResult, write_files
 from coordinator.lab.evaluation.run_tables import make_run_tables
 from coordinator.lab.simulator.simulate import simulate_scenario
-from coordinator.watch.tables.table_files import tables_as_json, write_parquet
+from coordinator.watch.tables import tables_as_json, write_parquet
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import Measurement

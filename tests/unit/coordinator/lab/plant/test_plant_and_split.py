@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from agents.area_files.reader import load_area_file
-from agents.messages.keys import live_key
+from agents.messages.keys import choose_run_id, default_run_id, live_key
 from agents.messages.packing import Incarnation, TelemetryMessage, decode
 from agents.orders.order_book import OrderBook
 from agents.runtime.duplicate_guard import DuplicateGuard
@@ -26,7 +26,6 @@ from coordinator.lab.deployment.split import area_files, write_area_files
 from coordinator.lab.plant.plant import BURST, NoAreaWarning, PlantLoop, run_plant
 from coordinator.lab.plant.scans import MadeScan, OwnScans
 from coordinator.lab.plant.telemetry_messages import make_payloads
-from coordinator.watch.observe.run_id import choose_run_id, default_run_id
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.grid.measurement import Source
 from dsse_core.limits import LONGEST_S
@@ -154,9 +153,9 @@ def test_a_plant_states_when_every_reading_was_measured_and_that_it_is_valid():
 
 
 def test_a_run_id_is_made_of_what_a_key_may_contain():
-    assert default_run_id(replace(load_scenario("ieee33"), name="My Grid (2)")) == "my-grid-2"
+    assert default_run_id("My Grid (2)") == "my-grid-2"
     with pytest.raises(InvalidInputError, match="My/Run"):
-        choose_run_id(load_scenario("ieee33"), "My/Run")
+        choose_run_id("ieee33", "My/Run")
 
 
 def no_bus() -> RenewableBus:

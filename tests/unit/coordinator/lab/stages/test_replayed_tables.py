@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from coordinator.lab.deployment.split import area_files
-from coordinator.lab.simulator.simulated_recording import SimulatedRecording
 from coordinator.lab.simulator.simulator import STARTED_AT, SimulatedBus
+from coordinator.lab.simulator.subscriber import SimulatedRecording
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.results.results import results_of_estimate
 from scenarios.scenario import load_scenario

@@ -14,7 +14,7 @@ from agents.runtime.log import PrintableFormatter
 from coordinator.lab.evaluation.result import RunResult
 from coordinator.lab.simulator.simulate import simulate_scenario
 from coordinator.show.figures.draw_areas import draw_areas
-from coordinator.show.report.run_files import write_report
+from coordinator.show.report.run_report import write_report
 from coordinator.show.report.text import format_check, format_verdict
 from coordinator.watch.observe.live import build_table
 from coordinator.watch.observe.progress import AreaProgress, Progress

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.show.report.run_files import write_report
+from coordinator.show.report.run_report import write_report
 from scenarios.generate.generated_files import write_generated
 from scenarios.scenario import load_scenario
 from tests.support.levels import further

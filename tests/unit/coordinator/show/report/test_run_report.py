@@ -18,8 +18,7 @@ from coordinator.show.figures.run_figures import draw_run
 from coordinator.show.figures.style import Drawing
 from coordinator.show.report import page as page_module
 from coordinator.show.report.page import render_page
-from coordinator.show.report.run_files import write_report
-from coordinator.show.report.run_report import make_run_page
+from coordinator.show.report.run_report import make_run_page, write_report
 from coordinator.show.report.settings import write_command
 from dsse_core.printable import printable
 from scenarios.scenario import load_scenario

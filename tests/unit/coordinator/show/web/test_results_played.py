@@ -11,7 +11,7 @@ from coordinator.lab.evaluation.result import RunResult
 from coordinator.lab.evaluation.scan_estimates import estimate_scans
 from coordinator.lab.simulator.simulate import simulate_scenario
 from coordinator.show.web.playback.source import play_recording
-from coordinator.watch.tables.table_files import write_tables
+from coordinator.watch.tables import write_tables
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.columns import read_column
 from dsse_core.grid.measurement import Source

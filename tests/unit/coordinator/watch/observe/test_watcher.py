@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from agents.messages.keys import live_key
+from agents.messages.keys import check_run_id, live_key
 from agents.messages.packing import Incarnation
-from coordinator.watch.observe.run_id import check_run_id
 from coordinator.watch.observe.view import OVER_S, AreaView
 from coordinator.watch.observe.view_text import format_view
 from coordinator.watch.observe.watcher import Watcher

@@ -15,7 +15,7 @@ from coordinator.watch.recording.recorded_tables import COLUMNS
 from coordinator.watch.recording.row_checks import RowCheck
 from coordinator.watch.replay.recorded_messages import read_newest_messages
 from coordinator.watch.replay.result_messages import read_result_messages
-from coordinator.watch.tables.table_files import write_tables
+from coordinator.watch.tables import write_tables
 from dsse_core.errors import InvalidInputError
 from dsse_core.results.results import results_of_power_flow
 from scenarios.scenario import load_scenario

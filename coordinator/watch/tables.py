@@ -1,10 +1,10 @@
-"""Tables of results as files and texts: CSV, JSON and Parquet, every number exact."""
+"""Tables as aligned text; tables of results as CSV, JSON and Parquet, every number exact."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.drafts import whole_file
 from dsse_core.files.installation import install_command
+from dsse_core.printable import printable
 from dsse_core.results.results import Results
 from dsse_core.results.scans import ScanTables
 from dsse_core.results.table import Table, write_times
@@ -92,3 +93,12 @@ def _load_pyarrow() -> tuple[Any, Any]:
         problem = f"pyarrow, which writes it, is not installed; {install_command('parquet')}"
         raise InvalidInputError("--parquet", [problem]) from None
     return pyarrow, pyarrow.parquet
+
+
+def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Table of columns padded to their widest cell, all printable; the first is flush left, the others right."""
+    columns = [list(map(printable, column)) for column in zip(*rows, strict=True)] if rows else [[] for _ in header]
+    table = [[name, *column] for name, column in zip(header, columns, strict=True)]
+    widths = [max(map(len, column)) for column in table]
+    row = "  ".join(f"%{width if k else -width}s" for k, width in enumerate(widths))
+    return "\n".join([(row % cells).rstrip() for cells in zip(*table, strict=True)])
