@@ -85,7 +85,7 @@ class Injections:
         return f"other loads of bus {bus} draw at {one}, and a meter reads the current there", cure
 
     @cached_property
-    def is_ungrounded(self) -> np.ndarray:
+    def sums_to_zero(self) -> np.ndarray:
         """True for each bus with loads, all of them between phases, and no source: its currents sum to 0; (n_bus,)."""
         item, n = self.network.table.nodes.item, len(self.network.table.bus_id)
         to_ground = item[self._ends[0, self._ends[1] == GROUND]], item[self.is_fed]

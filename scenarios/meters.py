@@ -147,21 +147,21 @@ class _Places:
         return virtual
 
     @cached_property
-    def ungrounded(self) -> np.ndarray:
+    def virtual_sums(self) -> np.ndarray:
         """True for each bus whose currents sum to zero, for every estimator, (n_bus,)."""
-        is_ungrounded, listed = self.injections.is_ungrounded, self.table.zero_injection
+        sums_to_zero, listed = self.injections.sums_to_zero, self.table.zero_injection
         if listed == "virtual":
-            return is_ungrounded
-        is_listed = np.zeros(len(is_ungrounded), dtype=bool)
+            return sums_to_zero
+        is_listed = np.zeros(len(sums_to_zero), dtype=bool)
         is_listed[self.buses.list_whole(() if listed == "measured" else listed)] = True
-        return is_ungrounded & is_listed
+        return sums_to_zero & is_listed
 
     def build(self) -> Records[Meter]:
         groups = [_Group(KIND.of_table(key), self._at(key)) for key in TABLES_AT_BUSES]
         groups += [_Group(KIND.of_table(key), self._on(key), of_branch=True) for key in TABLES_ON_BRANCHES]
         groups += [_Group(INJECTIONS, self._find_injections())]
         groups += [_Group(INJECTIONS, self.buses.spots_of(self.virtual), source=Source.VIRTUAL)]
-        groups += [_Group(SUM_OF_CURRENTS, make_totals(np.flatnonzero(self.ungrounded)), source=Source.VIRTUAL)]
+        groups += [_Group(SUM_OF_CURRENTS, make_totals(np.flatnonzero(self.virtual_sums)), source=Source.VIRTUAL)]
         columns = zip(*(g.columns(self.network) for g in groups if len(g.spots.row) or g is groups[0]), strict=True)
         kind, bus, branch, source, phases = (np.concatenate(column, axis=-1) for column in columns)
         return make_meters(self.network, kind, bus, branch, source, phases)
@@ -193,7 +193,7 @@ class _Places:
     def _find_injections(self) -> Spots:
         """The spots of meters of injection, without those that are virtual."""
         listed, nodes = self._listed("injection"), self.buses.rows
-        whole, legs = self.buses.list_whole(listed), self.injections.list_by_leg(self.ungrounded)
+        whole, legs = self.buses.list_whole(listed), self.injections.list_by_leg(self.virtual_sums)
         is_by_leg = np.isin(whole, nodes.item[legs[0]])
         measured = nodes.of(whole[~is_by_leg])
         measured = measured[~np.isin(measured, self.virtual)]
@@ -267,7 +267,7 @@ class _Places:
         """True where a node of ``place`` has no load and no source, or the currents of the bus sum to zero."""
         spots = self.buses.find([place])
         is_idle = self.injections.is_idle[self.network.table.nodes.find(spots.row, spots.phases[0])]
-        return bool(is_idle.any() or self.ungrounded[self.buses.list_whole([place])].any())
+        return bool(is_idle.any() or self.virtual_sums[self.buses.list_whole([place])].any())
 
 
 def _order(counted: tuple[Place, int]) -> tuple[int, str]:

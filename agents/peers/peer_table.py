@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from agents.messages.packing import BoundaryUpdate, Header, HeartbeatMessage, LinkMessage
 from agents.peers.clock_skew import ClockSkew, Skew
-from agents.peers.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS
+from agents.peers.orders_and_ages import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS
 from agents.peers.peers import Peer, Term, term_of
 from dsse_core.grid.partition import Neighbour
 

@@ -19,7 +19,7 @@ from agents.messages.packing import (
     LoadMessage,
 )
 from agents.peers.clock_skew import ClockSkew
-from agents.peers.freshness import PATIENCE_HEARTBEATS, is_newer
+from agents.peers.orders_and_ages import PATIENCE_HEARTBEATS, is_newer
 
 FIRST_WAIT_S = 0.05  # until a message is repeated, before the round trip of the link has been measured
 LEAST_WAIT_S = 0.005

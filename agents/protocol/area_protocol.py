@@ -26,7 +26,7 @@ from agents.messages.packing import (
     TelemetryMessage,
 )
 from agents.peers.agreement import Agreement, describe_boundary
-from agents.peers.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS, PATIENCE_HEARTBEATS
+from agents.peers.orders_and_ages import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS, PATIENCE_HEARTBEATS
 from agents.peers.peer_table import PeerTable
 from agents.peers.peers import M, Outgoing, Term
 from agents.peers.rejections import (

@@ -20,7 +20,7 @@ from agents.messages.packing import (
     Message,
     TelemetryMessage,
 )
-from agents.peers.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS
+from agents.peers.orders_and_ages import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS
 from agents.peers.peers import Term
 from agents.peers.rejections import find_unreasonable
 from agents.protocol.area_protocol import AreaProtocol
@@ -277,7 +277,7 @@ class AsynchronousProtocol(AreaProtocol):
         yield from find_leader_clock(self._content.readings.leader, self._scan.leader_ahead_s)
         yield from find_early_scan(self._scan.lead_s)
         if self._scan.has_been_read:
-            yield from find_missing_readings(self._scan.readings.silent, self._scan.readings.invalid)
+            yield from find_missing_readings(self._scan.readings.unread, self._scan.readings.invalid)
             yield from find_left_out_readings(self._scan.readings)
         yield from find_meters_off(self._published.ordered.meters_off)
         yield from (find_gone(name, leave_reason) for name, leave_reason in sorted(self._peers.gone.items()))

@@ -16,7 +16,7 @@ from collections import Counter
 from enum import Enum, auto
 
 from agents.messages.packing import NO_INCARNATION, Incarnation, TelemetryMessage
-from agents.peers.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, is_old
+from agents.peers.orders_and_ages import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, is_old
 from agents.peers.rejections import MOST_COUNTED
 from agents.protocol.configuration import Configuration
 from agents.protocol.events import Ordered

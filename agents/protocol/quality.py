@@ -280,12 +280,12 @@ def find_leader_clock(leader: str, ahead_s: float) -> Iterator[Finding]:
         )
 
 
-def find_missing_readings(silent: Sequence[str], invalid: Sequence[str]) -> Iterator[Finding]:
+def find_missing_readings(unread: Sequence[str], invalid: Sequence[str]) -> Iterator[Finding]:
     """Yields findings for meters without a usable reading; the standard deviations of the estimate show the effect."""
     if invalid:
         yield Finding(GOOD, f"marked invalid: the reading of {_first_of(invalid)}", "marked invalid", invalid)
-    if silent:
-        yield Finding(GOOD, f"no reading from {_first_of(silent)}", "no reading", silent)
+    if unread:
+        yield Finding(GOOD, f"no reading from {_first_of(unread)}", "no reading", unread)
 
 
 def find_meters_off(meters: Sequence[str]) -> Iterator[Finding]:

@@ -212,7 +212,7 @@ class Ages:
 class Readings:
     """Snapshot of the readings in use.
 
-    ``measurements``: in use, virtual ones included; ``ages``: of these readings. ``silent``: ids of the meters without
+    ``measurements``: in use, virtual ones included; ``ages``: of these readings. ``unread``: ids of the meters without
     a reading. ``invalid``: ids of the meters whose reading is marked as invalid by its source. ``too_old``: ids of the
     meters whose reading is left out for its age. ``why_rejected``: meter id -> reason for which its newest reading is
     rejected. ``mistimed``: ids of the meters whose only reading has an impossible time. ``senders``: gateway -> ids of
@@ -227,7 +227,7 @@ class Readings:
             meter_id: Measurement(m, 0.0, 0.0) for meter_id, m in self._meters.items() if m.source is Source.VIRTUAL
         }
         self.measurements: tuple[Measurement, ...] = tuple(self._virtual.values())
-        self.silent = [meter_id for meter_id in self._meters if meter_id not in self._virtual]
+        self.unread = [meter_id for meter_id in self._meters if meter_id not in self._virtual]
         self.invalid: list[str] = []
         self.too_old: list[str] = []
         self.mistimed: frozenset[str] = frozenset()
@@ -263,7 +263,7 @@ class Readings:
         left_out = {*self.invalid, *self.too_old, *self.why_rejected}
         known = read.keys() | self._virtual.keys() | self._store.off | left_out
         self.measurements = (*(measurement for measurement, _ in read.values()), *self._virtual.values())
-        self.silent = [meter_id for meter_id in self._meters if meter_id not in known]
+        self.unread = [meter_id for meter_id in self._meters if meter_id not in known]
         self.ages = self._find_ages({meter_id: time for meter_id, (_, time) in read.items()}, now, wall)
         self._net_loads = None
 

@@ -17,7 +17,7 @@ LOST, BURST, CUT = "lost", "lost in a burst", "lost in a cut"
 DELAYED, OVERTAKEN, DUPLICATED, CORRUPTED = "delayed", "overtaken", "duplicated", "corrupted"
 LOAD_CHANGED, LIED = "load changed", "lied"
 LOSSES = (LOST, BURST, CUT)
-KINDS = (*LOSSES, DELAYED, OVERTAKEN, DUPLICATED, CORRUPTED, LOAD_CHANGED, LIED)
+FAULT_KINDS = (*LOSSES, DELAYED, OVERTAKEN, DUPLICATED, CORRUPTED, LOAD_CHANGED, LIED)
 MOST_FLIPPED = 3  # bytes
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from agents.messages.packing import MAX_BYTES
-from agents.peers.freshness import PATIENCE_HEARTBEATS
+from agents.peers.orders_and_ages import PATIENCE_HEARTBEATS
 from agents.security.access import Access, zenoh_access_control, zenoh_access_control_without_keys
 from agents.security.credential_files import Credentials
 from agents.security.credentials import Keys

@@ -13,7 +13,7 @@ import numpy as np
 
 from agents.messages.keys import clock_key, state_key
 from agents.messages.packing import StateMessage, decode
-from agents.peers.freshness import PATIENCE_HEARTBEATS, is_old
+from agents.peers.orders_and_ages import PATIENCE_HEARTBEATS, is_old
 from agents.runtime.presence import begin_incarnation
 from agents.security.access import COORDINATOR
 from coordinator.lab.evaluation.comparison import rows_of

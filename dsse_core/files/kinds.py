@@ -45,9 +45,9 @@ GATEWAY_MAP = FileKind("a", "gateway map", frozenset({"scenario", "name"}), "`ds
 OPERATOR_FILE = FileKind(
     "an", "operator file", frozenset({"followed", "meters_off"}), "`dsse agent` keeps of the operator's commands"
 )
-KINDS = (SCENARIO_FILE, NETWORK_FILE, AREA_FILE, ACCESS_FILE, GATEWAY_MAP, OPERATOR_FILE)
+FILE_KINDS = (SCENARIO_FILE, NETWORK_FILE, AREA_FILE, ACCESS_FILE, GATEWAY_MAP, OPERATOR_FILE)
 
 
 def kind_reported_by(keys: Collection[str]) -> FileKind | None:
     """The first kind of file all of whose ``reported_by`` are among ``keys``; None where there is no such kind."""
-    return next((kind for kind in KINDS if kind.reported_by <= set(keys)), None)
+    return next((kind for kind in FILE_KINDS if kind.reported_by <= set(keys)), None)

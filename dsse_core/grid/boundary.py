@@ -16,10 +16,10 @@ from functools import cached_property
 
 import numpy as np
 
-from dsse_core.grid.nodes import PHASE
+from dsse_core.grid.nodes import ANY_PHASE
 
 MOST_VARIABLES = 1000
-NAME = re.compile(rf"(?P<what>[sv])@(?P<bus>-?(0|[1-9][0-9]{{0,15}}))(\.(?P<phases>({PHASE})+))?(>(?P<area>.+))?")
+NAME = re.compile(rf"(?P<what>[sv])@(?P<bus>-?(0|[1-9][0-9]{{0,15}}))(\.(?P<phases>({ANY_PHASE})+))?(>(?P<area>.+))?")
 
 
 class Kind(StrEnum):
@@ -156,6 +156,6 @@ def _read_name(name: str) -> Iterator[Variable]:
     if found is None:
         raise ValueError(f"{name!a} is the name of no variables")
     kinds = (Kind.P, Kind.Q) if found["what"] == "s" else (Kind.VM, Kind.VA)
-    for phase in re.findall(PHASE, found["phases"] or "") or [""]:
+    for phase in re.findall(ANY_PHASE, found["phases"] or "") or [""]:
         for kind in kinds:
             yield Variable(kind, int(found["bus"]), phase, found["area"] or "")

@@ -16,7 +16,7 @@ import numpy as np
 from dsse_core.grid.network_table import NetworkTable
 from dsse_core.grid.nodes import list_phases
 
-WEAK = 1e-4  # share of the largest admittances of a part, below which what it draws to ground is no ground
+NEGLIGIBLE = 1e-4  # relative: a smaller draw to ground is no ground, a smaller difference of voltages none
 PIN = 1.0  # p.u., the admittance of the shunt
 
 
@@ -84,7 +84,7 @@ def _find_links(table: NetworkTable) -> _Links:
             links.grounded.update((f, t))
         elif len(free) == 1:
             one, other = abs(free[0]).tolist()
-            if min(one, other) > WEAK:
+            if min(one, other) > NEGLIGIBLE:
                 links.joins.append((f, t, other / one))
             else:
                 links.grounded.add(t if one > other else f)
@@ -104,7 +104,7 @@ def _find_free(table: NetworkTable) -> list[np.ndarray]:
         of_end = np.stack([at_from, ~at_from], axis=-1)
         size = abs(y).sum(axis=2).max(axis=1, initial=1e-300)
         _, s, directions = np.linalg.svd(y @ of_end / size[:, None, None], full_matrices=False)
-        for k, is_free, direction in zip(of_size.tolist(), s < WEAK, directions.conj(), strict=True):
+        for k, is_free, direction in zip(of_size.tolist(), s < NEGLIGIBLE, directions.conj(), strict=True):
             found[k] = direction[is_free]
     return found
 
@@ -126,7 +126,7 @@ def _find_parts(n_bus: int, links: _Links, source: int) -> Iterator[dict[int, fl
                 if other not in common:
                     common[other] = common[row] * ratio
                     queue.append(other)
-                elif abs(common[other] - common[row] * ratio) > WEAK * common[other]:
+                elif abs(common[other] - common[row] * ratio) > NEGLIGIBLE * common[other]:
                     has_ground = True  # a loop whose ratios differ
         seen.update(common)
         if not has_ground:
@@ -145,4 +145,4 @@ def _is_weakly_grounded(table: NetworkTable, common: dict[int, float]) -> bool:
         np.add.at(to_ground, node, p.charging @ v[node])
         np.add.at(size, node, abs(p.y).sum(axis=1))
     within = v != 0
-    return bool(abs(to_ground[within]).max() < WEAK * size[within].max())
+    return bool(abs(to_ground[within]).max() < NEGLIGIBLE * size[within].max())

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.network import Network
-from dsse_core.grid.nodes import PHASE, list_phases
+from dsse_core.grid.nodes import ANY_PHASE, list_phases
 from dsse_core.grid.quantities import Quantity
 from dsse_core.limits import LEAST_USABLE_SIGMA, MOST_USABLE_SIGMA
 
@@ -150,7 +150,7 @@ class Meter:
 
 
 KIND_OF = {str(kind): kind for kind in MeasurementKind}
-_PLACE = re.compile(rf"(\d{{1,{LONGEST_BUS}}})(?:\.((?:{PHASE})+))?(?::(.*))?")
+_PLACE = re.compile(rf"(\d{{1,{LONGEST_BUS}}})(?:\.((?:{ANY_PHASE})+))?(?::(.*))?")
 
 
 def read_meter_id(text: str) -> Meter | None:

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 PHASES = ("", "a", "b", "c", "s1", "s2")  # "": all three of a balanced network; s1, s2 of split-phase secondaries
-PHASE = "[abc]|s[12]"
+ANY_PHASE = "[abc]|s[12]"  # pattern
 PHASE_ANGLE = np.radians([0.0, 0.0, -120.0, 120.0, 0.0, 180.0])  # of each phase at a substation of angle 0
 BALANCED = 1  # set of phases, a bit for each: that of a balanced bus
 ROUNDING = 1e-9  # share of the largest admittance of a branch, below which a sum of some is 0
@@ -35,7 +35,7 @@ def write_phases(phases: int) -> str:
 
 def list_phases(text: str) -> list[str]:
     """The phases of a text, such as ["a", "b"] of "ab", in its order; [""] of ""; empty where it is none."""
-    found = re.findall(PHASE, text)
+    found = re.findall(ANY_PHASE, text)
     return ([""] if not text else found) if "".join(found) == text else []
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from dsse_core.results.columns import AreaColumns
 from dsse_core.results.state import GridState
-from dsse_core.results.table import IN_ONE_PLACE, NO_SCAN, PHASE, Freshness, ScanLabel, Table, mark_rows
+from dsse_core.results.table import ALL_PHASES, IN_ONE_PLACE, NO_SCAN, Freshness, ScanLabel, Table, mark_rows
 from dsse_core.results.totals import TOTALS, Division, find_totals
 from dsse_core.results.units import base_kw
 
@@ -53,7 +53,7 @@ def make_area_table(
     of_areas = mark_rows(marks or [IN_ONE_PLACE] * n, np.arange(n))
     columns = AreaColumns(
         area=division.names,
-        phase=[PHASE] * n,
+        phase=[ALL_PHASES] * n,
         owned_buses=np.bincount(division.of_bus, minlength=n),
         **totals,
         **{key: (of_run or {}).get(key, unknown) for key in OF_A_RUN},

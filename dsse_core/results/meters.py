@@ -22,7 +22,7 @@ from dsse_core.grid.network import Network
 from dsse_core.grid.quantities import Quantity
 from dsse_core.results.columns import MeterColumns
 from dsse_core.results.state import GridState, read_state
-from dsse_core.results.table import NO_SCAN, PHASE, ScanLabel, Table
+from dsse_core.results.table import ALL_PHASES, NO_SCAN, ScanLabel, Table
 from dsse_core.results.units import base_a, base_kw
 
 UNITS = ("pu", "deg", "kw", "kvar", "a")
@@ -74,7 +74,7 @@ def make_meter_table(
         kind=texts["kind"],
         bus=np.array(texts["bus"], dtype=np.int64),
         branch=[branch or "" for branch in texts["branch"]],
-        phase=[phases or PHASE for phases in texts["phases"]],
+        phase=[phases or ALL_PHASES for phases in texts["phases"]],
         source=texts["source"],
         status=_find_status(row_of, np.isnan(values), removed, critical),
         **in_units,

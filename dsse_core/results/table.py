@@ -27,7 +27,7 @@ LONGEST_CELL = 24
 COLUMN = re.compile(r"[a-z]\S*")  # a key of a scenario file as well, such as faults.link[1].loss
 ROWS_AT_A_TIME = 4096  # of a file, whose cells take a few megabytes
 NEEDS_QUOTES = re.compile('[,"\r\n]')
-PHASE = "abc"  # of a row of a balanced network, in positive sequence, and of a total
+ALL_PHASES = "abc"  # of a row of a balanced network, in positive sequence, and of a total
 
 Column = np.ndarray | tuple[str, ...]
 
@@ -72,7 +72,7 @@ def mark_rows(marks: Sequence[Freshness], of: np.ndarray) -> dict[str, Any]:
 
 def name_phases(phase: np.ndarray) -> list[str]:
     """The column ``phase`` of rows by their places in PHASES, (n,)."""
-    names = PHASE, *PHASES[1:]
+    names = ALL_PHASES, *PHASES[1:]
     return [names[k] for k in phase.tolist()]
 
 
@@ -84,7 +84,7 @@ def as_times(seconds: np.ndarray) -> np.ndarray:
 
 def name_by_phase(ids: Iterable[str], phases: Iterable[str]) -> list[str]:
     """Labels of rows: their ids, such as 671, of a row of one phase 671.b."""
-    return [name if phase == PHASE else f"{name}.{phase}" for name, phase in zip(ids, phases, strict=True)]
+    return [name if phase == ALL_PHASES else f"{name}.{phase}" for name, phase in zip(ids, phases, strict=True)]
 
 
 class Table:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from agents.messages.packing import StateMessage
-from agents.peers.freshness import PASSED_ON_HEARTBEATS
+from agents.peers.orders_and_ages import PASSED_ON_HEARTBEATS
 from agents.peers.peer_table import PeerTable
 from agents.peers.peers import Term
 from agents.peers.rejections import Rejections
@@ -256,7 +256,7 @@ class RoundsState:
         yield from find_leader_clock(self._leader, self._scan.leader_ahead_s)
         yield from find_early_scan(self._scan.lead_s)
         if self._scan.has_been_read:
-            yield from find_missing_readings(self._scan.readings.silent, self._scan.readings.invalid)
+            yield from find_missing_readings(self._scan.readings.unread, self._scan.readings.invalid)
             yield from find_left_out_readings(self._scan.readings)
         yield from find_meters_off(self._published.ordered.meters_off)
 

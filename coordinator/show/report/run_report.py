@@ -23,13 +23,13 @@ from coordinator.watch.observe.view_text import write_summary
 from dsse_core.grid.measurement import KIND_OF, MeasurementKind
 from dsse_core.printable import printable, shortened
 from dsse_core.results.meters import read_in_own_units
-from dsse_core.results.table import PHASE, Table
+from dsse_core.results.table import ALL_PHASES, Table
 
 LONGEST_NAME = 40
 WORDS_OF: dict[str, dict[str, str]] = {
     "kind": {str(kind): kind.words for kind in MeasurementKind},
     "unit": {"pu": "p.u.", "deg": "degrees", "kw": "kW", "kvar": "kvar", "a": "A"},
-    "phase": {PHASE: ""},  # of a balanced network
+    "phase": {ALL_PHASES: ""},  # of a balanced network
 }
 Column = tuple[str, str, str]
 """Its heading in words, its name in the table, and the format of its numbers or the key in WORDS_OF of its texts."""

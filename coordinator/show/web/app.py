@@ -16,7 +16,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import Receive, Scope, Send
 
 from coordinator.show.web.guard import Guard
-from coordinator.show.web.history import KINDS
+from coordinator.show.web.history import KINDS_WITH_A_PAST
 from coordinator.show.web.moment import encode_json
 from coordinator.show.web.openapi import describe_api
 from coordinator.show.web.shown_tables import MOST_ROWS, select_rows
@@ -71,8 +71,8 @@ class _Endpoints:
 
     async def history(self, request: Request) -> Response:
         kind, name = request.query_params.get("kind", ""), request.query_params.get("id", "")
-        if kind not in KINDS or len(name) > LONGEST_NAME or (kind == "bus" and not name.isascii()):
-            return _problem(400, f"kind is one of {', '.join(KINDS)}, id what is shown")
+        if kind not in KINDS_WITH_A_PAST or len(name) > LONGEST_NAME or (kind == "bus" and not name.isascii()):
+            return _problem(400, f"kind is one of {', '.join(KINDS_WITH_A_PAST)}, id what is shown")
         if kind == "bus" and not name.removeprefix("-").isdigit():
             return _problem(400, "the id of a bus is its number")
         return _json(await asyncio.to_thread(self.source.read_history, kind, name))

@@ -18,7 +18,7 @@ from dsse_core.grid.columns import read_given
 from dsse_core.grid.network import Network
 from dsse_core.grid.nodes import write_phases
 from dsse_core.results.flows import build_branch_model
-from dsse_core.results.table import PHASE, name_phases
+from dsse_core.results.table import ALL_PHASES, name_phases
 from scenarios.scenario import Scenario
 
 BUSES_IN_A_ROW = 8  # of an area that is known from the bus alone
@@ -60,7 +60,7 @@ def draw_scenario(scenario: Scenario) -> dict[str, Any]:
         "operating_limits": _describe_limits(scenario.operating_limits),
         "buses": {
             "id": ids,
-            "phase": [write_phases(phases) or PHASE for phases in network.table.nodes.sets.tolist()],
+            "phase": [write_phases(phases) or ALL_PHASES for phases in network.table.nodes.sets.tolist()],
             "name": list(read_given(network.buses, "name")) or [""] * len(ids),
             "base_kv": network.table.base_kv.tolist(),
             "x": place[:, 0].tolist(),
@@ -112,7 +112,7 @@ def draw_states(run: str, states: Mapping[str, StateMessage]) -> dict[str, Any]:
                 continue
             row_of[bus] = len(buses["id"])
             place = left + k % BUSES_IN_A_ROW, k // BUSES_IN_A_ROW
-            values = bus, "".join(phases[bus]) or PHASE, "", None, *place, None, name, [name]
+            values = bus, "".join(phases[bus]) or ALL_PHASES, "", None, *place, None, name, [name]
             for key, value in zip(buses, values, strict=True):
                 buses[key].append(value)
         left += min(BUSES_IN_A_ROW, len(own)) + 2
@@ -145,7 +145,7 @@ def _list_nodes(nodes: Sequence[tuple[int, str]]) -> dict[str, Any]:
     """The columns of ``nodes``, which are there with phases only."""
     if not any(phase for _, phase in nodes):
         return {}
-    return {"nodes": {"bus": [bus for bus, _ in nodes], "phase": [phase or PHASE for _, phase in nodes]}}
+    return {"nodes": {"bus": [bus for bus, _ in nodes], "phase": [phase or ALL_PHASES for _, phase in nodes]}}
 
 
 def _describe_limits(limits: OperatingLimits) -> dict[str, Any]:

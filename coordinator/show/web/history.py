@@ -11,12 +11,12 @@ import numpy as np
 
 from dsse_core.grid.nodes import PHASES
 from dsse_core.results.columns import OF_ALL_PHASES
-from dsse_core.results.table import PHASE
+from dsse_core.results.table import ALL_PHASES
 
 MOST_BYTES = 128 * 1024 * 1024  # of all series together
 MOST_MOMENTS = 20_000
 BYTES_OF_ID = 150  # an id and its place, roughly
-KINDS = ("bus", "branch", "meter", "area")
+KINDS_WITH_A_PAST = ("bus", "branch", "meter", "area")
 BY_PHASE = ("bus", "branch")  # kinds whose ids are those of a thing and of one of its phases
 
 
@@ -76,7 +76,8 @@ class History:
     """The series of all kinds. ``has_phases``: of a known grid with phases, whose tables have ``OF_ALL_PHASES``."""
 
     def __init__(self, most_bytes: int = MOST_BYTES, *, has_phases: bool = False) -> None:
-        share, (of_bus, of_branch) = most_bytes // len(KINDS), ([name] * has_phases for name in OF_ALL_PHASES)
+        share = most_bytes // len(KINDS_WITH_A_PAST)
+        of_bus, of_branch = ([name] * has_phases for name in OF_ALL_PHASES)
         self.of = {
             "bus": Series(("vm_pu", "sigma_vm_pu", "va_deg", *of_bus), share),
             "branch": Series(("p_from_kw", "q_from_kvar", "i_from_a", "loading_percent", *of_branch), share),
@@ -93,7 +94,7 @@ class History:
         if kind not in BY_PHASE:
             return series.read(name)
         thing = int(name) if kind == "bus" else name
-        balanced = series.read((thing, PHASE))
+        balanced = series.read((thing, ALL_PHASES))
         of_phases = {phase: past for phase in PHASES[1:] if (past := series.read((thing, phase)))["time"]}
         return _join_phases(of_phases) if of_phases else balanced
 

@@ -7,7 +7,7 @@ from typing import Any, Literal, NotRequired, TypedDict
 import msgspec
 
 from coordinator.lab.evaluation.answers import version_of
-from coordinator.show.web.history import KINDS
+from coordinator.show.web.history import KINDS_WITH_A_PAST
 from coordinator.watch.observe.summary import Summary
 
 Number = float | None
@@ -228,7 +228,7 @@ PATHS = {
 TEXT, WHOLE = {"type": "string"}, {"type": "integer", "minimum": 0}
 PARAMETERS: dict[str, list[dict[str, Any]]] = {
     "/api/history": [
-        {"name": "kind", "in": "query", "required": True, "schema": TEXT | {"enum": list(KINDS)}},
+        {"name": "kind", "in": "query", "required": True, "schema": TEXT | {"enum": list(KINDS_WITH_A_PAST)}},
         {"name": "id", "in": "query", "required": True, "schema": TEXT, "description": "bus number, or id"},
     ],
     "/api/rows": [

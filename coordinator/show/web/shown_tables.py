@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from coordinator.watch.observe.grid_tables import Columns, Tables, order_worst_first, pick_rows
-from dsse_core.results.table import PHASE, Table
+from dsse_core.results.table import ALL_PHASES, Table
 
 MOST_METERS = 100  # the worst meters, sent with every moment
 MOST_ROWS = 1000  # of one request
@@ -76,7 +76,7 @@ def _find_columns(tables: Tables, kind: str) -> tuple[Columns, str, Mapping[str,
 
 def _has_phases(table: Table) -> bool:
     """True for rows that are nodes or conductors of a network with phases."""
-    return not {*table.phase} <= {PHASE}
+    return not {*table.phase} <= {ALL_PHASES}
 
 
 def _draw(table: Columns | Table, names: Mapping[str, int]) -> dict[str, Any]:

@@ -21,11 +21,11 @@ from coordinator.watch.observe.notes import BAD_DATA, Noted
 from coordinator.watch.observe.summary import Summary
 from coordinator.watch.observe.view import OVER_S, AreaView, View
 from dsse_core.grid.measurement import read_meter_id
-from dsse_core.grid.nodes import PHASE
+from dsse_core.grid.nodes import ANY_PHASE
 from dsse_core.printable import listed, printable, shortened
 
 ALARM, WARNING = "alarm", "warning"
-NODE = re.compile(rf"\b(\d{{1,15}})(\.(?:{PHASE})(?!\w))?")  # a bus, or a phase of it
+NODE = re.compile(rf"\b(\d{{1,15}})(\.(?:{ANY_PHASE})(?!\w))?")  # a bus, or a phase of it
 
 
 class Words(NamedTuple):
@@ -187,7 +187,7 @@ WORDS = {
     "quality": Words("{area} is {quality}: {why}", "look at the log of `dsse agent {area}.toml`", WARNING, "{quality}"),
 }
 """Kind -> its words; of several causes the one of an earlier kind comes first, and alarms before warnings."""
-KINDS = tuple(WORDS)
+CAUSE_KINDS = tuple(WORDS)
 OF_GRID = ("loading", "low voltage", "high voltage")
 """Kinds that are states of the grid; all others are faults of the data on it."""
 REMARKS = {
@@ -281,7 +281,7 @@ class Onsets:
         found = {cause.kind for cause in causes}
         if "under way" in found and at >= self._at:
             causes = [*self._ended, *(c for c in causes if c.kind != "under way" or not self._ended)]
-            causes.sort(key=lambda cause: KINDS.index(cause.kind))
+            causes.sort(key=lambda cause: CAUSE_KINDS.index(cause.kind))
         else:
             self._ended = tuple(cause for cause in causes if cause.kind in OF_ENDS)
         before = self._since if at >= self._at else {}  # a playback goes back
@@ -309,7 +309,7 @@ def find_causes(
     roots = [cause for cause in roots if not EXPLAINED.get(cause.kind, set()) & kinds]
     if all(cause.kind in HARMLESS for cause in roots):
         roots += found.find_rest()
-    roots.sort(key=lambda cause: KINDS.index(cause.kind))
+    roots.sort(key=lambda cause: CAUSE_KINDS.index(cause.kind))
     return tuple(_add_effects(view, roots[:MOST_CAUSES]))
 
 

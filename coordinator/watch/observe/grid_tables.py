@@ -23,7 +23,7 @@ from dsse_core.results.buses import make_bus_table
 from dsse_core.results.flows import Flows, build_branch_model
 from dsse_core.results.meters import find_unit_sizes
 from dsse_core.results.state import AreaVoltages, join_states
-from dsse_core.results.table import PHASE, Freshness, Table
+from dsse_core.results.table import ALL_PHASES, Freshness, Table
 from dsse_core.results.totals import division_of
 from dsse_core.results.units import wrap_degrees
 from scenarios.scenario import Scenario
@@ -67,7 +67,7 @@ def list_buses(states: States, freshness: FreshnessByArea) -> Table:
     names = "vm_pu", "va_deg", "sigma_vm_pu", "sigma_va_deg"
     columns = {name: np.array(column, dtype=float) for name, column in zip(names, numbers, strict=True)}
     columns["va_deg"] = wrap_degrees(columns["va_deg"])
-    node: Columns = {"bus": np.array(buses, dtype=np.int64), "area": areas, "phase": [p or PHASE for p in phases]}
+    node: Columns = {"bus": np.array(buses, dtype=np.int64), "area": areas, "phase": [p or ALL_PHASES for p in phases]}
     return Table("buses", node | columns | describe_freshness(areas, freshness))
 
 
@@ -255,7 +255,7 @@ class GridTables:
             "area": (*(areas[k] for k in known), *silent_areas),
             "bus": np.array([meter.bus for meter in all_meters], dtype=np.int64),
             "branch": tuple(meter.branch or "" for meter in all_meters),
-            **({} if is_balanced else {"phase": tuple(meter.phases or PHASE for meter in all_meters)}),
+            **({} if is_balanced else {"phase": tuple(meter.phases or ALL_PHASES for meter in all_meters)}),
             "unit": tuple(meter.kind.quantity.unit for meter in all_meters),
         }
         size = find_unit_sizes(self.scenario.network, listed)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 
 from agents.messages.keys import live_key
 from agents.messages.packing import NO_INCARNATION, StateMessage
-from agents.peers.freshness import PATIENCE_HEARTBEATS
+from agents.peers.orders_and_ages import PATIENCE_HEARTBEATS
 from agents.protocol.quality import GOOD, NONE, STALE, UNOBSERVABLE, Assessment, assess_from_outside
 from coordinator.watch.observe.mismatch import find_mismatches
 from coordinator.watch.observe.watcher import Watcher, count_exchanges

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from agents.messages.packing import Incarnation, StateMessage
-from agents.runtime.link_faults import KINDS
+from agents.runtime.link_faults import FAULT_KINDS
 from coordinator.watch.observe.event_log import EventLog
 
 NO_COMMAND = (0, 0, 0)
@@ -26,7 +26,7 @@ class StateLog:
         """Note ``state``, an area's newest, published at time ``at``; ``is_new``: it is no repeat."""
         area = state.header.sender
         # a hostile area may invent more kinds
-        counted = Counter({kind: state.faults[kind] for kind in KINDS if kind in state.faults})
+        counted = Counter({kind: state.faults[kind] for kind in FAULT_KINDS if kind in state.faults})
         incarnation, before = self._counted.get(area, (state.header.incarnation, Counter()))
         before = before if incarnation == state.header.incarnation else Counter()
         more = counted - before

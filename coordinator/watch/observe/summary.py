@@ -11,7 +11,7 @@ import numpy as np
 from coordinator.watch.observe.grid_tables import OFF, REMOVED, SILENT, UNKNOWN, GridTables, Tables
 from coordinator.watch.observe.view import Extreme
 from dsse_core.estimation.state_limits import DEFAULT_OPERATING_LIMITS, OperatingLimits
-from dsse_core.results.table import PHASE, Table, name_by_phase
+from dsse_core.results.table import ALL_PHASES, Table, name_by_phase
 
 MOST_WORST = 4  # violations of one limit that are named
 UNUSED = (REMOVED, SILENT, OFF, UNKNOWN)  # meters without an influence on the estimate
@@ -69,7 +69,7 @@ def summarise(tables: Tables, known: GridTables | None) -> Summary:
     limits = known.scenario.operating_limits if known else DEFAULT_OPERATING_LIMITS
     voltage, residual = _find_voltage(tables.buses, limits), _find_residual(tables.meters, limits)
     if known is None or tables.branches is None:
-        return Summary(voltage, residual, limits=limits, has_phases=not {*tables.buses.phase} <= {PHASE})
+        return Summary(voltage, residual, limits=limits, has_phases=not {*tables.buses.phase} <= {ALL_PHASES})
     buses, branches = tables.buses, tables.branches
     ids, fresh, used = name_by_phase(branches.branch, branches.phase), branches.fresh, branches.in_service
     rated = used & known.is_rated

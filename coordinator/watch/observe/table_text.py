@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from dsse_core.printable import printable, shortened
-from dsse_core.results.table import PHASE, Table, name_by_phase
+from dsse_core.results.table import ALL_PHASES, Table, name_by_phase
 
 NUMBERS = "vm_pu", "va_deg", "sigma_vm_pu", "p_kw", "q_kvar"
 BUSES_FIRST = "node", "bus", "area", "quality", "value_age_s", *NUMBERS  # columns in order, as far as they fit
@@ -43,7 +43,7 @@ def write_table(table: Table, width: int, most: int | None) -> Iterator[str]:
 
 def _name_nodes(table: Table) -> Table:
     """``table`` with the column ``node`` in place of ``bus`` and ``phase``, where buses have phases."""
-    if not {"bus", "phase"} <= {*table.columns} or {*table.phase} <= {PHASE}:
+    if not {"bus", "phase"} <= {*table.columns} or {*table.phase} <= {ALL_PHASES}:
         return table
     nodes = {"node": name_by_phase(map(str, table.bus.tolist()), table.phase)}
     return Table("nodes", nodes | {name: table[name] for name in table.columns if name not in ("bus", "phase")})

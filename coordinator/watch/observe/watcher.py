@@ -12,7 +12,7 @@ import numpy as np
 
 from agents.messages.keys import name_of_live, version_of
 from agents.messages.packing import WIRE_VERSION, ReadingsMessage, StateMessage, describe_other_version
-from agents.peers.freshness import is_old
+from agents.peers.orders_and_ages import is_old
 from agents.protocol.quality import assess_from_outside
 from agents.runtime.presence import MAX_NAMES, Presence
 from coordinator.watch.observe.duplicates import NOUNS, describe_duplicate

@@ -17,7 +17,7 @@ from agents.messages.checks import BusId, Count, Digest, Integer, MessageError, 
 from agents.messages.keys import NAME
 from agents.messages.packing import MAX_BYTES, ReadingsMessage, StateMessage
 from dsse_core.errors import InvalidInputError
-from dsse_core.grid.nodes import PHASE
+from dsse_core.grid.nodes import ANY_PHASE
 
 LATEST = 253_402_300_800.0  # s since 1970: the year 10000, where calendars end; so long before 1970 is the earliest
 LARGEST_ANGLE = math.radians(sys.float_info.max)  # rad, a number in degrees, too
@@ -26,7 +26,7 @@ LONGEST_TEXT = 6 * MAX_BYTES  # characters of JSON: the largest message of the b
 Time = Annotated[float, Meta(ge=-LATEST, lt=LATEST)]
 AnyName = Annotated[str, Meta(pattern=rf"\A{NAME.pattern}\Z")]  # of a run or an area
 Process = Annotated[str, Meta(pattern=r"\A[0-9a-f]{1,14}-[0-9a-f]{8,14}\Z")]  # an incarnation
-Phase = Annotated[str, Meta(pattern=rf"\A({PHASE})\Z")]
+Phase = Annotated[str, Meta(pattern=rf"\A({ANY_PHASE})\Z")]
 Details = Annotated[str, Meta(max_length=LONGEST_TEXT)]
 
 _WHOSE = {"time": Time, "scan": Count, "area": AnyName, "incarnation": Process}

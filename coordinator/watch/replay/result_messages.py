@@ -22,7 +22,7 @@ from dsse_core.grid.measurement import Meter, Source
 from dsse_core.grid.nodes import name_node
 from dsse_core.grid.partition import Area
 from dsse_core.results.meters import CRITICAL, REMOVED, UNITS, find_unit_sizes
-from dsse_core.results.table import PHASE
+from dsse_core.results.table import ALL_PHASES
 from scenarios.files.readings.file import read_time
 from scenarios.scenario import Scenario
 
@@ -174,7 +174,7 @@ def _read_scans(folder: Path) -> dict[str, _Scan]:
         scan = scans.setdefault(row.text("scan"), _Scan(read_time(row.text("time"))))
         vm, va, sigma_vm, sigma_va = map(row.number, OF_BUSES)
         phase = row.text("phase")
-        scan.nodes[int(row.number("bus")), "" if phase == PHASE else phase] = vm, va, sigma_vm, sigma_va
+        scan.nodes[int(row.number("bus")), "" if phase == ALL_PHASES else phase] = vm, va, sigma_vm, sigma_va
     if not scans:
         raise InvalidInputError(str(folder / BUSES), ["there is no row; give the folder of other results"])
     in_units = [f"{name}_{unit}" for name in OF_METERS for unit in UNITS]

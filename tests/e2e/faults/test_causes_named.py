@@ -16,7 +16,7 @@ import tomli_w
 
 from agents.area_files.area_file import save_area_file, stamp_split
 from agents.area_files.reader import load_area_file
-from coordinator.watch.observe.causes import KINDS
+from coordinator.watch.observe.causes import CAUSE_KINDS
 from tests.support.browser import browsing, serve
 from tests.support.dsse_command import free_endpoint
 from tests.support.faulted import FAULTS, rate, words_of
@@ -93,7 +93,7 @@ def read_causes(system: SystemByHand, url: str) -> list[list[str]]:
 
 def assert_named(dsse: Any, folder: Path, faults: Mapping[str, str]) -> None:
     """Wait until both name the causes of ``faults`` and no other."""
-    in_order = sorted(faults, key=lambda name: KINDS.index(FAULTS[name].kind))
+    in_order = sorted(faults, key=lambda name: CAUSE_KINDS.index(FAULTS[name].kind))
     expected = [words_of(name, faults[name]).partition(" since ")[0] for name in in_order]
     with running(dsse, folder, faults) as (system, endpoint):
         system.start("watch", "watch", "ieee33.toml", "--connect", endpoint, "--json")

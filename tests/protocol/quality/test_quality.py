@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agents.messages.packing import HeartbeatMessage
-from agents.peers.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS
+from agents.peers.orders_and_ages import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS
 from coordinator.lab.simulator.simulate import Simulation
 from dsse_core.errors import NotObservableError
 from dsse_core.estimation.bad_data import process_bad_data

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from agents.messages.packing import Header, HeartbeatMessage, Incarnation, LoadMessage
-from agents.peers.freshness import PATIENCE_HEARTBEATS
+from agents.peers.orders_and_ages import PATIENCE_HEARTBEATS
 from agents.peers.peer_table import PeerTable
 from agents.peers.peers import FIRST_WAIT_S, LEAST_WAIT_S, MEAN_GAIN, PATIENCE_WAITS, Peer
 from agents.strategies.angle_offset import BoundaryMessage

@@ -60,7 +60,7 @@ def test_a_meter_that_is_off_is_in_no_snapshot_until_it_is_on(scan: TickReadings
     assert scan.follow(Ordered((1, 1, 1), METERS[:2]))
     scan.enter(scan.scan, 2.0)
     assert values(scan).keys() == set(METERS[2:])
-    assert not set(METERS[:2]) & {*scan.readings.silent, *scan.readings.invalid}
+    assert not set(METERS[:2]) & {*scan.readings.unread, *scan.readings.invalid}
     assert not scan.follow(Ordered((1, 1, 2), METERS[:2])), "nothing has changed"
     assert scan.follow(Ordered((1, 1, 3), ()))
     scan.enter(scan.scan, 3.0)

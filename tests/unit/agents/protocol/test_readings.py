@@ -111,7 +111,7 @@ def test_a_reading_that_is_too_old_is_left_out_and_named():
     readings = taken(store)
     assert readings.too_old == [VM]
     assert VM not in {m.meter.id for m in readings.measurements}
-    assert VM not in readings.silent
+    assert VM not in readings.unread
     assert readings.ages.times == {FLOW: NOW - 51.0}
 
 
@@ -195,7 +195,7 @@ def test_meters_that_are_off_are_neither_read_nor_missed():
     store.off = frozenset({VM})
     readings = taken(store)
     assert VM not in {m.meter.id for m in readings.measurements}
-    assert VM not in readings.silent
+    assert VM not in readings.unread
     assert readings.ages.overdue_share(0.0) == 0.0
 
 
@@ -224,7 +224,7 @@ def test_where_a_gateway_numbers_scans_its_readings_without_period_belong_to_the
         store.take(each, NOW)
         assert list(readings.take(each, 0.0, NOW)) == []
         assert readings.ages.times.keys() == found
-    assert meter_id in readings.silent
+    assert meter_id in readings.unread
 
 
 def test_a_scan_that_is_sent_again_at_every_heartbeat_is_not_looked_through_meter_by_meter(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agents.peers.freshness import PATIENCE_HEARTBEATS
+from agents.peers.orders_and_ages import PATIENCE_HEARTBEATS
 from agents.runtime.duplicate_guard import OVERLAP_HEARTBEATS, OVERLAP_S
 from agents.transport.bus_config import bus_config
 from coordinator.watch.observe.duplicates import SURE_HEARTBEATS, SURE_S

@@ -15,7 +15,7 @@ from agents.messages.packing import Incarnation
 from agents.peers.clock_skew import Skew
 from agents.protocol import quality
 from consensus_dsse import simulate
-from coordinator.watch.observe.causes import KINDS, WORDS, Cause, Onsets, find_causes, write_lines
+from coordinator.watch.observe.causes import CAUSE_KINDS, WORDS, Cause, Onsets, find_causes, write_lines
 from coordinator.watch.observe.notes import read_notes
 from coordinator.watch.observe.view import View
 from coordinator.watch.observe.view_text import fit_view, format_view
@@ -157,7 +157,7 @@ def test_of_two_faults_both_are_named_and_nothing_else(faults: tuple[str, str], 
     one, other = faults
     causes = run_with({one: "area2", other: "area3"}, tmp_path).find_causes()
     seen = [pair for pair in ((one, "area2"), (other, "area3")) if not HIDES.get(one, set()) & {pair[0]}]
-    expected = sorted(seen, key=lambda pair: KINDS.index(FAULTS[pair[0]].kind))
+    expected = sorted(seen, key=lambda pair: CAUSE_KINDS.index(FAULTS[pair[0]].kind))
     assert [cause.kind for cause in causes] == [FAULTS[fault].kind for fault, _ in expected]
     assert all(str(cause).startswith(words_of(*pair)) for cause, pair in zip(causes, expected, strict=True))
 

@@ -10,7 +10,7 @@ import pytest
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Header, Incarnation, StateMessage
-from agents.peers.freshness import PATIENCE_HEARTBEATS
+from agents.peers.orders_and_ages import PATIENCE_HEARTBEATS
 from coordinator.watch.observe.observer import Observer, Standing
 from coordinator.watch.observe.progress import describe_progress
 from coordinator.watch.observe.view import OVER_S

@@ -1,4 +1,4 @@
-"""Freshness: the time for which a received message counts as fresh, and the order of two messages of a sender.
+"""Order of two messages of a sender, and the age up to which a message counts as fresh.
 
 All orders and ages of the protocol are in a table of docs/explanation/protocol.md (orders and ages).
 
