@@ -16,6 +16,7 @@ from dsse_core.printable import printable
 PICTURES = (".png", ".pdf", ".svg")
 BUSES_OF_AN_AREA = 10  # the areas of a generated feeder, unless a number is given
 MAX_DEFAULT_AREAS = 8
+TWO_CUTS = "--areas and --switches are two ways to cut; give one of them"
 
 
 folder_option = click.option(
@@ -48,7 +49,7 @@ def partition(
                dsse partition ieee33 --switches 6-7,6-26
     """
     if count is not None and switches:
-        raise click.UsageError("--areas and --switches are two ways to cut; give one of them")
+        raise click.UsageError(TWO_CUTS)
     if out is not None and out.suffix.lower() not in PICTURES:
         raise InvalidInputError("--out", [f"{out} has none of the endings {', '.join(PICTURES)}; give it one"])
     from agents.strategies.installed import list_strategies
@@ -59,8 +60,7 @@ def partition(
     if count is not None:
         changes = {"areas": {"count": count}, "faults": {}}
     elif switches:
-        named = [name.strip() for text in switches for name in text.split(",") if name.strip()]
-        changes = {"areas": {"switches": named}, "faults": {}}
+        changes = {"areas": {"switches": _list_names(switches)}, "faults": {}}
     loaded = load_scenario(scenario, strategies=list_strategies(), changes=changes)
     areas = loaded.partition.listed
     text = format_area_tables(loaded.partition) if toml else format_areas(loaded)
@@ -136,7 +136,10 @@ def generate(
 @command(STUDY, "import", short_help="Take over a network of MATPOWER, OpenDSS, pandapower, power-grid-model.")
 @click.argument("file", type=click.Path(path_type=Path))
 @folder_option
-@click.option("--areas", "n_area", type=click.IntRange(min=1), default=1, show_default=True, help="How many areas.")
+@click.option("--areas", "n_area", type=click.IntRange(min=1), help="How many areas.  [default: 1]")
+@click.option(
+    "--switches", multiple=True, metavar="BRANCHES", help="Cut at these branches instead, ids or names; repeatable."
+)
 @click.option("--name", help="Name of the network.  [default: its own, else that of the file]")
 @click.option(
     "--frequency",
@@ -155,7 +158,14 @@ def generate(
 )
 @json_option
 def import_file(
-    file: Path, out: Path, n_area: int, name: str | None, frequency_hz: float, within: Path | None, as_json: bool
+    file: Path,
+    out: Path,
+    n_area: int | None,
+    switches: tuple[str, ...],
+    name: str | None,
+    frequency_hz: float,
+    within: Path | None,
+    as_json: bool,
 ) -> None:
     """Take over FILE as a scenario: a MATPOWER case (.m), an OpenDSS circuit (.dss), a pandapower network or
     power-grid-model input (.json).
@@ -165,12 +175,19 @@ def import_file(
     \b
     Example:  dsse import case33bw.m --areas 4 --out bw && dsse run bw/scenario.toml
     """
+    if n_area is not None and switches:
+        raise click.UsageError(TWO_CUTS)
     from scenarios.importers import import_grid
     from scenarios.importers.imported_files import write_imported
 
+    cut = _list_names(switches) or n_area or 1
     imported = import_grid(file, name=name, frequency_hz=frequency_hz, within=within)
-    path, summary = write_imported(out, imported, n_area, lambda scenario: _check(scenario, file))
+    path, summary = write_imported(out, imported, cut, lambda scenario: _check(scenario, file))
     answer(as_json, {"summary": summary, "scenario": path}, f"{summary}\n{next_run(path)}")
+
+
+def _list_names(given: tuple[str, ...]) -> list[str]:
+    return [name.strip() for text in given for name in text.split(",") if name.strip()]
 
 
 def _check(path: Path, source: Path) -> None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LONGEST_NAME
 from scenarios.files.readings.file import save_readings
 from scenarios.files.saved_network import format_toml, name_network_file, save_network
-from scenarios.generate.cutting import cut_into
+from scenarios.generate.cutting import cut_at, cut_into
 from scenarios.importers.imported import Imported
 
 FILES = ("network.toml", "network.json", "scenario.toml", "readings.csv", "import.txt")
@@ -50,26 +50,33 @@ file = "readings.csv"
 
 
 def write_imported(
-    folder: Path, imported: Imported, n_area: int, check: Callable[[Path], None] = lambda _: None
+    folder: Path,
+    imported: Imported,
+    cut: int | Sequence[str] = 1,
+    check: Callable[[Path], None] = lambda _: None,
 ) -> tuple[Path, str]:
     """Write the files into ``folder``; the scenario's path, and a summary of the conversion.
 
-    ``check``: raises where the scenario at a path is not sound. Then, as after any other error, neither the files nor
-    the folders made for them stay.
+    ``cut``: how many areas, or the branches to cut at, by id or name. ``check``: raises where the scenario at a path is
+    not sound. Then, as after any other error, neither the files nor the folders made for them stay.
 
     Raises:
-        InvalidInputError: one of the files is there already, or the network cannot be cut into ``n_area`` areas.
+        InvalidInputError: one of the files is there already, or the network cannot be cut so.
         OSError: ``folder`` cannot be made or written.
     """
     files = (*FILES, *imported.files)
     if present := [name for name in files if (folder / name).exists()]:
         problems = [f"{name} is there already; choose another folder" for name in present]
         raise InvalidInputError(f"folder {folder}", problems)
-    cut_into(imported.network, n_area)
+    network = imported.network
+    if not isinstance(cut, int):
+        named = {branch.name: branch.id for branch in network.branches}
+        cut = [name if name in network.branch_by_id else named.get(name, name) for name in cut]
+    _ = cut_into(network, cut) if isinstance(cut, int) else cut_at(network, cut)
     made = [parent for parent in (folder, *folder.parents) if not parent.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        path = _write_files(folder, imported, n_area)
+        path = _write_files(folder, imported, cut)
         check(path)
     except BaseException as error:
         for name in files:
@@ -84,7 +91,7 @@ def write_imported(
     return path, summarise(imported, full=False)
 
 
-def _write_files(folder: Path, imported: Imported, n_area: int) -> Path:
+def _write_files(folder: Path, imported: Imported, cut: int | Sequence[str]) -> Path:
     network = imported.network
     save_network(folder / name_network_file(network.n_nodes), network, imported.data_source)
     if imported.readings:
@@ -101,20 +108,21 @@ def _write_files(folder: Path, imported: Imported, n_area: int) -> Path:
     for name, text in imported.files.items():
         (folder / name).write_text(text, encoding="utf-8")
     path = folder / "scenario.toml"
-    path.write_text(_head(imported, n_area) + meters, encoding="utf-8")
+    path.write_text(_head(imported, cut) + meters, encoding="utf-8")
     (folder / "import.txt").write_text(summarise(imported, full=True) + "\n", encoding="utf-8")
     return path
 
 
-def _head(imported: Imported, n_area: int) -> str:
+def _head(imported: Imported, cut: int | Sequence[str]) -> str:
     kind = "measurements" if imported.readings else "power flow"
+    areas = f"count = {cut}" if isinstance(cut, int) else f"switches = {format_toml(list(cut))}"
     text = f"{imported.data_source}, its {kind}".replace("\\", "/").replace('"', "'")
     return (
         "# Written by dsse import; import.txt says what was converted, and docs/how-to/import.md how.\n\n"
         f"version = 1\nname = {format_toml(imported.network.name[:LONGEST_NAME])}\n"
         f'description = "{" ".join(text.split())}"\n'
         f'network = "{name_network_file(imported.network.n_nodes)}"\nstrategy = "information"\n'
-        f"areas = {{ count = {n_area} }}\n"
+        f"areas = {{ {areas} }}\n"
     )
 
 

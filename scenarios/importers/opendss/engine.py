@@ -104,6 +104,7 @@ class Engine:
             "v": self._list_voltages(),
             "kv": {},
             "load_mult": dss.Solution.LoadMult(),
+            "frequency": dss.Solution.Frequency(),
             "loads": [],
             "sources": [],
             "elements": [],
@@ -121,13 +122,17 @@ class Engine:
             found["v"] = bare
         else:  # parts without ground float
             self._edit_all("transformer", f"ppm_antifloat={ANTIFLOAT}")
+            dss.YMatrix.SolutionInitialized(False)  # else it begins where it has ended, which may be nan
             self._solve()
         found["loads"] = list(self._describe_loads())
         for kind, name in elements:
             if kind in SOURCES and self._is_enabled(f"{kind}.{name}"):
                 found["sources"].append(self._describe_power(kind, name))
         self._edit_all("transformer", "ppm_antifloat=0")
-        open_ends = dict(self._close_open_lines(elements))
+        disabled = [f"{kind}.{name}" for kind, name in elements if not self._is_enabled(f"{kind}.{name}")]
+        ties = self._enable_ties(disabled, set(found["nodes"]))
+        found["disabled"] = [name for name in disabled if name not in ties]
+        open_ends = dict(self._close_open_lines(elements)) | {name: [0, 1] for name in ties}
         dss.Text.Command("buildy")
         for kind, name in elements:
             if kind in SERIES or kind == "vsource":
@@ -136,7 +141,6 @@ class Engine:
                     element = self._describe_element(kind, name) | {"y": list(dss.CktElement.YPrim())}
                     element["open_ends"] = open_ends.get(f"{kind}.{name}", [])
                     found["elements"].append(element | self._describe_class(kind, name))
-        found["disabled"] = [f"{k}.{n}" for k, n in elements if not self._is_enabled(f"{k}.{n}")]
         found["shapes"] = list(self._describe_shapes({load["shape"] for load in found["loads"]}))
         return found
 
@@ -151,6 +155,32 @@ class Engine:
         for _ in kind:
             if self.dss.CktElement.Enabled():
                 yield kind
+
+    def _enable_ties(self, disabled: list[str], nodes: set[str]) -> list[str]:
+        """Enable what joins two buses, and brings no node beside ``nodes``, so that it has a matrix; its names."""
+        buses, element, ties = {node.rpartition(".")[0] for node in nodes}, self.dss.CktElement, list[str]()
+        for name in disabled:
+            self.dss.Circuit.SetActiveElement(name)
+            ends = {bus.split(".")[0].lower() for bus in element.BusNames()}
+            if name.partition(".")[0] in SERIES and len(ends) > 1 and ends <= buses:
+                ties.append(name)
+        self._turn("enable", ties)
+        beyond = [name for name in ties if not self._list_nodes(name) <= nodes]
+        self._turn("disable", beyond)
+        return [name for name in ties if name not in beyond]
+
+    def _turn(self, verb: str, names: list[str]) -> None:
+        for name in names:
+            self.dss.Text.Command(f"{verb} {name}")
+        if names:
+            self.dss.Text.Command("makebuslist")
+
+    def _list_nodes(self, name: str) -> set[str]:
+        self.dss.Circuit.SetActiveElement(name)
+        element = self.dss.CktElement
+        n, numbers = element.NumConductors(), element.NodeOrder()
+        buses = [bus.split(".")[0].lower() for bus in element.BusNames()]
+        return {f"{buses[k // n]}.{number}" for k, number in enumerate(numbers) if number}
 
     def _close_open_lines(self, elements: list[list[str]]) -> Iterator[tuple[str, list[int]]]:
         """Close what is open, so that its matrix is that of the closed branch; yields each and its open ends."""
@@ -201,7 +231,8 @@ class Engine:
             return {"kva": dss.Transformers.kVA()}
         if kind == "vsource":
             dss.Vsources.Name(name)
-            return {"kv": dss.Vsources.BasekV(), "pu": dss.Vsources.PU(), "angle": dss.Vsources.AngleDeg()}
+            own = {"kv": dss.Vsources.BasekV(), "pu": dss.Vsources.PU(), "angle": dss.Vsources.AngleDeg()}
+            return own | {"frequency": dss.Vsources.Frequency()}
         return {}
 
     def _describe_loads(self) -> Iterator[dict[str, Any]]:

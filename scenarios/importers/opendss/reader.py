@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +21,7 @@ import numpy as np
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.loads import Load
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
-from dsse_core.grid.nodes import Primitive, list_phases, share_of_power
+from dsse_core.grid.nodes import PHASES, Primitive, list_phases, share_of_power
 from dsse_core.grid.primitives import find_size
 from dsse_core.printable import listed, printable
 from dsse_core.results.units import base_current
@@ -38,8 +38,9 @@ NO_CURRENT = 1e-10  # p.u., round-off of a load of nothing
 NO_SHUNT = 1e-6  # p.u., below which what an element draws that is open at one end is left out
 ROUNDING = 1e-13  # share of the largest admittance of an element, below which a sum of some is 0
 NO_RATING_A = 400.0  # of lines that state none, OpenDSS's default
+UNITS = ", "  # between the names of units that are one branch
 LARGEST_NUMBER = 10**9  # of a bus, taken from its name
-PHASES = ("", "a", "b", "c")
+OF_THREE = ("", "a", "b", "c")
 HALVES = ("", "s1", "s2")
 BUS_MODELS = {1: (0.0, 0.0), 2: (2.0, 2.0), 3: (0.0, 2.0), 5: (1.0, 1.0), 6: (0.0, 0.0), 7: (0.0, 2.0)}
 """Model of a load -> exponents of P and Q."""
@@ -127,6 +128,7 @@ class Circuit:
         for element in self.elements:
             if not element["name"].startswith("vsource."):
                 branches += self._build_element(element, shunts)
+        branches = self._join_units(branches)
         for load in self.answer["loads"]:
             self.legs += [(load["name"], leg) for leg in self._build_load(load)]
         for of_power in self.answer["sources"]:
@@ -201,7 +203,7 @@ class Circuit:
         return {bus: "".join(self._name_phase(bus, k) for k in sorted(of_bus)) for bus, of_bus in nodes.items()}
 
     def _name_phase(self, bus: str, node: int) -> str:
-        names = HALVES if bus in self.splits else PHASES
+        names = HALVES if bus in self.splits else OF_THREE
         return names[node] if node < len(names) else ""
 
     def _find_stars(self) -> set[tuple[str, int]]:
@@ -260,8 +262,14 @@ class Circuit:
             names = listed([element["name"] for element in sources]) or "none"
             self.problems.append(f"one vsource feeds a network, the substation; enabled are: {names}")
             return "", None, None
-        element = sources[0]
+        element, frequency = sources[0], self.answer["frequency"]
         bus, conductors = element["buses"][0], element["conductors"]
+        if element["frequency"] != frequency:
+            problem = (
+                f"has {element['frequency']:g} Hz, and the circuit is solved at {frequency:g} Hz, where it gives no"
+            )
+            self._refuse(element, f"{problem} voltage; write set defaultbasefrequency before new circuit, and no other")
+            return bus, None, None
         if conductors != [1, 2, 3, 0, 0, 0]:
             problem = f"stands at nodes {listed(conductors)}; the substation has nodes 1, 2, 3 against the ground"
             self._refuse(element, problem)
@@ -302,6 +310,21 @@ class Circuit:
             self._add_shunt(element["name"], buses[0], [self._name_phase(*at) for at in places], Y, shunts)
         elif buses and len(element["open_ends"]) == 1 and element["name"].startswith(("line.", "transformer.")):
             self._refuse(element, f"is open at one of its ends, which are both at bus {buses[0]}; open both")
+
+    def _join_units(self, branches: Iterable[Branch]) -> list[Branch]:
+        """Elements of one phase beside each other, each at other phases, as one branch, since else they are a loop:
+        units of a bank, or a line that is written phase by phase."""
+        of_one = {printable(element["name"]) for element in self.elements if element["phases"] == 1}
+        units, taken = dict[Hashable, list[Branch]](), Counter[Hashable]()
+        for branch in branches:
+            beside: Hashable = branch.id
+            if branch.name in of_one:
+                kind, places = branch.name.partition(".")[0], _list_ports(branch)
+                place = (kind, branch.in_service, frozenset(places))
+                taken[place] += 1
+                beside = (*place[:2], frozenset(bus for bus, _ in places), taken[place])
+            units.setdefault(beside, []).append(branch)
+        return [of[0] if len(of) == 1 else _join(of) for of in units.values()]
 
     def _add_rest(
         self,
@@ -475,6 +498,33 @@ class Circuit:
         return found
 
 
+def _list_ports(branch: Branch) -> list[tuple[int, str]]:
+    """Bus and phase of each port."""
+    assert branch.primitive
+    ends = ((branch.from_bus, branch.primitive.from_phases), (branch.to_bus, branch.primitive.to_phases))
+    return [(bus, phase) for bus, phases in ends for phase in list_phases(phases)]
+
+
+def _join(units: Sequence[Branch]) -> Branch:
+    """The branch that ``units`` between the same two buses are: the sum of their primitives over all their ports."""
+    first, of_units = units[0], [_list_ports(unit) for unit in units]
+    touched = sorted({port for of_unit in of_units for port in of_unit}, key=lambda port: PHASES.index(port[1]))
+    at_from, at_to = ([port for port in touched if port[0] == bus] for bus in (first.from_bus, first.to_bus))
+    ports = [*at_from, *at_to]
+    y, charging = np.zeros((2, len(ports), len(ports)), dtype=complex)
+    for unit, of_unit in zip(units, of_units, strict=True):
+        at = np.ix_(*[[ports.index(port) for port in of_unit]] * 2)
+        assert unit.primitive
+        y[at] += unit.primitive.y
+        charging[at] += unit.primitive.charging
+    from_phases, to_phases = ("".join(phase for _, phase in of_end) for of_end in (at_from, at_to))
+    primitive = Primitive(from_phases, to_phases, y, charging)
+    size, name = find_size(primitive), UNITS.join(unit.name for unit in units)
+    i_max = min((unit.i_max for unit in units if unit.i_max is not None), default=None)
+    s_max = min((unit.s_max for unit in units if unit.s_max is not None), default=None)
+    return replace(first, r=size.real, x=size.imag, name=name, primitive=primitive, i_max=i_max, s_max=s_max)
+
+
 def _is_delta(element: Mapping[str, Any]) -> bool:
     return bool(element.get("is_delta", len(element["conductors"]) == element["phases"]))
 
@@ -547,7 +597,7 @@ def _find_places(network: Network, head: int, regulating: set[str]) -> Places:
     slack = network.slack
     assert slack is not None
     names = {f"transformer.{name}" for name in regulating}
-    regulators = [branch for branch in network.active_branches if branch.name in names]
+    regulators = [branch for branch in network.active_branches if not names.isdisjoint(branch.name.split(UNITS))]
     first = head if head in there else slack.bus
     flows = [branch.id for branch in network.branches_at[slack.bus]] + [branch.id for branch in regulators]
     ends = [

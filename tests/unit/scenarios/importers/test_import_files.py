@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,15 @@ def test_a_source_without_measurements_becomes_a_scenario_with_made_up_meters(tm
     assert {m.kind for m in scenario.meters if m.bus == 1} >= {KIND.VM, KIND.P_FLOW, KIND.Q_INJECTION}
     assert summary.splitlines() == ["source     a test", "converted  4 buses"]
     assert (tmp_path / "new" / "import.txt").read_text(encoding="utf-8") == summary + "\n"
+
+
+def test_a_network_is_cut_at_branches_by_id_or_name(tmp_path: Path) -> None:
+    first, second, third = chain().branches
+    named = replace(chain(), branches=(first, replace(second, name="line.tie"), third))
+    path, _ = write_imported(tmp_path / "named", Imported(named, "a test", {}), ["line.tie", "3-4"])
+    assert [*load_scenario(path, strategies=STRATEGIES).partition.listed.values()] == [(1, 2), (2, 3), (3, 4)]
+    with pytest.raises(InvalidInputError, match="there is no branch"):
+        write_imported(tmp_path / "none", Imported(named, "a test", {}), ["line.x"])
 
 
 def test_measurements_of_the_source_become_the_readings_of_the_scenario(tmp_path: Path) -> None:

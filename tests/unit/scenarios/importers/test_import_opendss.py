@@ -19,6 +19,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.network import Network
 from dsse_core.grid.nodes import Primitive
+from dsse_core.grid.radial_order import Tree, find_tree
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.results.units import base_current
 from scenarios.files.network_file import load_network
@@ -50,6 +51,8 @@ new line.lateral phases=2 bus1=632.3.2 bus2=645.3.2 r1=0.2 x1=0.3 r0=0.5 x0=0.9 
 new line.single phases=1 bus1=632.1 bus2=652.1 r1=0.3 x1=0.4 c1=0 length=0.5
 new line.tie bus1=645.2.3 bus2=633.2.3 phases=2 r1=0.1 x1=0.1 switch=y
 open line.tie 1
+new line.spare phases=1 bus1=633.3 bus2=645.3 r1=0.1 x1=0.1 enabled=no
+new line.nowhere phases=1 bus1=633.3 bus2=646.3 r1=0.1 x1=0.1 enabled=no
 new reactor.series bus1=632 bus2=633 r=0.01 x=0.1
 new transformer.open1 phases=1 buses=[633.1.2 671.1.2] conns=[delta delta] kvs=[4.16 0.48] kvas=[100 100] xhl=3
 new transformer.open2 phases=1 buses=[633.3.2 671.3.2] conns=[delta delta] kvs=[4.16 0.48] kvas=[100 100] xhl=3
@@ -114,8 +117,9 @@ def test_the_power_flow_of_all_kinds_of_elements_is_that_of_opendss(tmp_path: Pa
     assert network.n_nodes == 31
     assert (to_ground, between) < (1e-8, 1e-8)
     taps = {branch.name: branch for branch in network.branches}
-    y = taps["transformer.reg1"].primitive.y
-    assert y[0, 1] / y[1, 1] == pytest.approx(-1.0125)  # OpenDSS's control has moved it
+    y = taps["transformer.reg1, transformer.reg2, transformer.reg3"].primitive.y
+    assert y[0, 3] / y[3, 3] == pytest.approx(-1.0125)  # OpenDSS's control has moved it
+    assert isinstance(find_tree(network, network.slack.bus), Tree)
 
 
 def test_what_was_changed_is_said_and_profiles_stand_beside(tmp_path: Path) -> None:
@@ -124,7 +128,8 @@ def test_what_was_changed_is_said_and_profiles_stand_beside(tmp_path: Path) -> N
     remarks = {remark.text.split(":")[0]: remark.what for remark in imported.remarks}
     assert remarks == {
         "energymeter (1)": "left out",
-        "line.tie": "note",
+        "line.tie, line.spare": "note",
+        "line.nowhere": "left out",
         "generator.g, pvsystem.pv": "changed",
         "load.m5": "changed",
         "load.m8": "changed",
@@ -133,8 +138,11 @@ def test_what_was_changed_is_said_and_profiles_stand_beside(tmp_path: Path) -> N
     buses = {bus.name or str(bus.id): bus for bus in network.buses}
     assert (buses["632"].x, buses["632"].y, buses["s1"].phases) == (3.0, 4.0, "s1s2")
     branches = {branch.name: branch for branch in network.branches}
-    assert branches["transformer.reg2"].id == "650-60-2"
-    assert not branches["line.tie"].in_service
+    assert branches["transformer.reg1, transformer.reg2, transformer.reg3"].id == "650-60"
+    assert [branches[name].in_service for name in ("line.main", "line.tie", "line.spare")] == [True, False, False]
+    assert branches["line.spare"].primitive.y[0, 0] == pytest.approx(
+        -branches["line.spare"].primitive.y[0, 1], rel=1e-6
+    )
     assert branches["line.main"].i_max * base_current(network.base_mva, 4.16) == pytest.approx(600)
     produced = [load for load in network.loads if load.s.real < 0]
     assert sum(load.s.real for load in produced) * network.node_mva == pytest.approx(-0.09 - 0.032, abs=1e-6)
@@ -222,8 +230,8 @@ def test_lines_banks_and_regulators_by_parameters_have_the_matrices_of_opendss(t
             ("new load.n bus1=632.1.4 phases=1 kv=2.4 kw=1", "load.n: node 632.4: a neutral is no node"),
             ("new vsource.two bus1=632 basekv=4.16", "one vsource feeds a network"),
             ("open capacitor.whole 1 2", "capacitor.whole: some of its conductors are open"),
-            ("new load.x bus1=632 model=11", "toy.dss line 47: OpenDSS refuses it"),
-            ("new line.x bus1=632 bus2=9 linecode=none", "toy.dss line 47: OpenDSS refuses it"),
+            ("new load.x bus1=632 model=11", "toy.dss line 49: OpenDSS refuses it"),
+            ("new line.x bus1=632 bus2=9 linecode=none", "toy.dss line 49: OpenDSS refuses it"),
         ),
     ],
 )
@@ -273,7 +281,9 @@ def test_what_is_written_in_another_form_is_said_and_keeps_the_voltages(tmp_path
     [
         ("edit vsource.source z1=[0.1 0.5] z2=[0.3 0.9] z0=[0.2 0.6]", "vsource.source: its matrix is not symmetric"),
         ("new generator.g bus1=01 kv=4.16 kw=90 kvar=30 model=2 conn=delta", "generator.g: its currents in OpenDSS"),
+        ("set frequency=50", "vsource.source: has 60 Hz, and the circuit is solved at 50 Hz"),
         *further(
+            ("edit vsource.source frequency=50", "vsource.source: has 50 Hz, and the circuit is solved at 60 Hz"),
             ("new reactor.r bus1=1 bus2=01 z1=[1 5] z2=[3 9] z0=[2 6]", "reactor.r: its matrix is not symmetric"),
             ("new line.l phases=1 bus1=1.1 bus2=1.2 c1=4000\nopen line.l 2", "line.l: is open at one of its ends"),
             ("new swtcontrol.s switchedobj=load.a switchedterm=1 normal=open state=open", "load.a: is open"),
