@@ -18,7 +18,7 @@ import pytest
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.network import Network
-from dsse_core.grid.nodes import Primitive
+from dsse_core.grid.nodes import Primitive, name_node
 from dsse_core.grid.radial_order import Tree, find_tree
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.results.units import base_current
@@ -28,7 +28,7 @@ from scenarios.importers import import_grid
 from scenarios.importers.opendss.reader import Circuit, solve_circuit
 from scenarios.importers.opendss.script import Command, read_script
 from scenarios.importers.opendss.vocabulary import Words, load_vocabulary
-from tests.support.ieee_feeders import load_feeder
+from tests.support.ieee_feeders import load_feeder, load_voltages
 from tests.support.levels import further
 
 pytest.importorskip("opendssdirect", reason="needs OpenDSS: pip install '.[opendss]'")
@@ -407,17 +407,38 @@ STORED = {
 }
 
 
-@pytest.mark.long
-@pytest.mark.skipif(not FEEDERS.is_dir(), reason="OPENDSS_FEEDERS names no checkout of dss-extensions/electricdss-tst")
-@pytest.mark.parametrize("name", STORED)
-def test_the_feeders_of_the_tests_are_those_of_opendss(name: str) -> None:
-    """Their matrices are by parameters, without the 4.2e-8 S that OpenDSS adds at each end of a line."""
+TAPS_123 = {"1a": 7, "2a": -1, "3a": 0, "3c": -1, "4a": 8, "4b": 1, "4c": 5}
+STORED["ieee123"] = ("123Bus/IEEE123Master.dss", fix_taps(**{f"reg{name}": step for name, step in TAPS_123.items()}))
+MERGED = {  # the two buses of each switch as one, since with the impedances of switches voltages are 9e-7 p.u. off
+    "ieee13": ("edit line.692675 bus1=671", "edit load.692 bus1=671.3.1", "edit line.671692 enabled=no"),
+    "ieee123": (
+        *(f"edit regcontrol.creg{name} enabled=no" for name in TAPS_123),
+        "edit transformer.reg1a buses=[150 149]",
+        "edit line.l116 bus1=13",
+        "edit line.l114 bus1=18",
+        *(f"edit transformer.reg4{phase} buses=[60.{k} 160r.{k}]" for k, phase in enumerate("abc", 1)),
+        "edit line.l118 bus1=97",
+        "edit transformer.xfm1 buses=[61 610]",
+        *(f"edit line.sw{k} enabled=no" for k in range(1, 9)),
+    ),
+}
+
+
+def read_stored(name: str, further_commands: tuple[str, ...] = ()) -> Circuit:
     file, commands = STORED[name]
     script = read_script(FEEDERS / file, FEEDERS)
-    script.commands += [Command(text, "test") for text in commands]
-    circuit, stored = Circuit(solve_circuit(script, FEEDERS / file), script), load_feeder(name)
+    script.commands += [Command(text, "test") for text in (*commands, *further_commands)]
+    return Circuit(solve_circuit(script, FEEDERS / file), script)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not FEEDERS.is_dir(), reason="OPENDSS_FEEDERS names no checkout of dss-extensions/electricdss-tst")
+@pytest.mark.parametrize("name", [name for name in STORED if name != "ieee123"])
+def test_the_feeders_of_the_tests_are_those_of_opendss(name: str) -> None:
+    """Their matrices are by parameters, without the 4.2e-8 S that OpenDSS adds at each end of a line."""
+    circuit, stored = read_stored(name), load_feeder(name)
     circuit.base_mva = stored.base_mva
-    mine = circuit.finish(FEEDERS / file).network
+    mine = circuit.finish(FEEDERS / STORED[name][0]).network
     assert [(bus.id, bus.phases) for bus in mine.buses] == [(bus.id, bus.phases) for bus in stored.buses]
     theirs, ours = (build_admittance(network).ybus.toarray() for network in (stored, mine))
     assert abs(ours - theirs) / abs(theirs).max(axis=1, keepdims=True) == pytest.approx(0.0, abs=2e-6)
@@ -427,3 +448,22 @@ def test_the_feeders_of_the_tests_are_those_of_opendss(name: str) -> None:
     assert power[0] == pytest.approx(power[1], rel=1e-9, abs=1e-12)
     shunts = [[bus.b_shunt * network.base_mva for bus in network.buses] for network in (mine, stored)]
     assert shunts[0] == pytest.approx(shunts[1], abs=1e-9)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not FEEDERS.is_dir(), reason="OPENDSS_FEEDERS names no checkout of dss-extensions/electricdss-tst")
+@pytest.mark.parametrize("name", STORED)
+def test_the_stored_voltages_are_those_of_opendss(name: str) -> None:
+    whole, merged = read_stored(name), read_stored(name, MERGED.get(name, ()))
+    bus_of = {number: bus for bus, number in merged.number.items()}
+    found = {
+        name_node(whole.number[bus_of[number]], phase): u * merged.kv[bus_of[number]] / whole.kv[bus_of[number]]
+        for (number, phase), u in merged.voltages.items()
+    }
+    feeder, stored = load_feeder(name), load_voltages(name)
+    apart = {node: found[name_node(*node)] - v for node, v in zip(feeder.nodes, stored, strict=True) if not np.isnan(v)}
+    for bus in feeder.gauge.ungrounded:  # between phases alone
+        of_bus = [node for node in apart if node[0] == bus]
+        apart |= {node: apart[node] - apart[of_bus[0]] for node in of_bus}
+    assert len(apart) > len(stored) - 7
+    assert max(map(abs, apart.values())) < 2e-9
