@@ -16,7 +16,7 @@ import numpy as np
 from dsse_core.errors import DsseError
 from dsse_core.estimation.decision import MOST_NAMED, Decision, Memory, Totals, Verdict, limit_total
 from dsse_core.estimation.residuals import MeterChecks, find_dead
-from dsse_core.exchange.boundary_load import Loads, stand_in_as_it_was, stand_in_for
+from dsse_core.exchange.boundary_load import Loads, powers_from, stand_in_for
 from dsse_core.exchange.feeder_bad_data import (
     NoLoadModel,
     build_no_load_model,
@@ -32,7 +32,6 @@ from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BoundaryInformation, are_within_reason
 from dsse_core.linear.contributions import VoltageReadings
 
-AGED = 0.1  # factor on the last information of a neighbour that is no longer received: its sigmas grow tenfold
 FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError, DsseError)  # caused by absurd numbers
 
 T = TypeVar("T")
@@ -78,8 +77,7 @@ class AreaEstimation:
         self.received: Received = {}  # at ``linearized_at``
         self._boundary_values: dict[str, tuple[np.ndarray, tuple[float, ...]]] = {}  # neighbour -> x, and y there
         self.before_removal: tuple[np.ndarray, Received] | None = None  # x with all meters, and messages of its step
-        self._aged: dict[str, BoundaryInformation] = {}
-        self._last_y: dict[str, np.ndarray] = {}  # of boundaries with several flows: last y with the neighbour in use
+        self._last_y: dict[str, np.ndarray] = {}  # neighbour -> y at the last end with it in use
         self.stand_ins: dict[str, BoundaryInformation] = {}
         self._omega: np.ndarray | None = None  # variances of the residuals, from ``find_sigmas``
         self._model: AreaModel | None = None
@@ -113,9 +111,7 @@ class AreaEstimation:
     ) -> None:
         """Starts at the state so far, with ``readings``, virtual ones included; ``silent``: neighbours not in use.
 
-        ``stale``: the readings are not of this scan. ``loads``: neighbour -> its load message. The load message stands
-        in for the neighbour's information as long as that has never been received. For boundaries with several flows
-        see ``stand_in_as_it_was``.
+        ``stale``: the readings are not of this scan. ``loads``: neighbour -> its load message.
         """
         self._readings, self._silent, self._is_stale = tuple(readings), frozenset(silent), stale
         if (meters := tuple(m.meter for m in self._readings)) != self._meters_read:
@@ -126,19 +122,22 @@ class AreaEstimation:
         self.stand_ins = self._find_stand_ins(loads or {})
 
     def _find_stand_ins(self, loads: Mapping[str, Loads]) -> dict[str, BoundaryInformation]:
-        """Silent neighbour -> information that stands in for its own."""
-        found, boundaries = {}, self.area.boundaries
-        for name in self._silent:
-            if not boundaries[name].has_one_flow:
-                y = self._last_y.get(name)
-                if y is None and name not in loads:
-                    continue  # nothing is known of the other side
-                own = sum(map(abs, self.area.network.scheduled.tolist()))
-                y = self.model.boundary_values(self._flat, self._by_name[name]) if y is None else y
-                beyond = sum(abs(load.s) for of_side in loads.values() for load in of_side)
-                found[name] = stand_in_as_it_was(boundaries[name], y, own + beyond)
-            elif name in loads:
-                found[name] = stand_in_for(self.area.name, boundaries[name], loads[name])
+        """Silent neighbour -> information that stands in for its own, see ``stand_in_for``.
+
+        The boundary is as it was at the last end with the neighbour. If there was none, it is that of the unloaded grid
+        with the load of the neighbour's side, where that has one flow. Without a load message nothing is known.
+        """
+        own = sum(map(abs, self.area.network.scheduled.tolist()))
+        all_load = own + sum(abs(load.s) for of_side in loads.values() for load in of_side)
+        found = {}
+        for name in self._silent & (self._last_y.keys() | loads.keys()):
+            boundary = self.area.boundaries[name]
+            y = self._last_y.get(name)
+            if y is None:
+                y = self.model.boundary_values(self._flat, self._by_name[name]).copy()
+                if boundary.has_one_flow:
+                    y[: boundary.n_powers] = powers_from(self.area.name, boundary, loads[name])
+            found[name] = stand_in_for(boundary, y, all_load)
         return found
 
     def _start_anew(self, removed: Sequence[str]) -> None:
@@ -233,7 +232,7 @@ class AreaEstimation:
         Raises:
             FAILURES: numbers that no estimate can have.
         """
-        found = self.model.linear.information(self.x, self._by_name[neighbour], self._with_aged(received))
+        found = self.model.linear.information(self.x, self._by_name[neighbour], self._with_stand_ins(received))
         return _checked(found)
 
     def no_load_for(self, neighbour: str, received: Mapping[str, BoundaryInformation]) -> BoundaryInformation | None:
@@ -258,10 +257,9 @@ class AreaEstimation:
             self._kept_no_load[what] = of, found
         return cast("T | None", self._kept_no_load[what][1])
 
-    def _with_aged(self, received: Received) -> Received:
+    def _with_stand_ins(self, received: Received) -> Received:
         """``received``, with the information that stands in for that of silent neighbours."""
-        stand_ins = self.stand_ins | self._aged
-        return {name: stand_ins[name] for name in self._silent if name in stand_ins} | dict(received)
+        return self.stand_ins | dict(received)
 
     def totals(self) -> Totals:
         """The area's own part of the totals at x_k."""
@@ -306,7 +304,7 @@ class AreaEstimation:
             self._check_no_load(no_load)
             if verdict.takes_step:
                 self._check_information(received)
-                self.received = self._with_aged(received)
+                self.received = self._with_stand_ins(received)
                 self.linearized_at, self._step_before = self.x, self._step
                 self._step = self.model.linear.step(self.x, self.received)
                 self.x = self.x + verdict.share * self._step
@@ -327,17 +325,10 @@ class AreaEstimation:
                 case Decision.EVALUATE:
                     self._evaluate()
                 case Decision.FINAL:
-                    self._keep_last({n: m for n, m in self.received.items() if n not in self._silent})
+                    for name in self.received.keys() - self._silent:
+                        self._last_y[name] = self.model.boundary_values(self.x, self._by_name[name])
         except FAILURES as error:
             self.fail(error)
-
-    def _keep_last(self, received: Received) -> None:
-        """Keeps, at the end of a scan, the stand-ins for neighbours that have sent ``received`` and may fall silent."""
-        for name, message in received.items():
-            if self.area.boundaries[name].has_one_flow:
-                self._aged[name] = BoundaryInformation(AGED * message.R, AGED * message.z)
-            else:
-                self._last_y[name] = self.model.boundary_values(self.x, self._by_name[name])
 
     def prepare(self) -> None:
         """Computes the part of the next round that needs no message."""

@@ -17,14 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dsse_core.grid.boundary import Boundary, Kind
+from dsse_core.grid.boundary import Boundary
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Source
 from dsse_core.grid.partition import Area, Partition
 from dsse_core.linear.boundary_information import BoundaryInformation
 
 UNSURE_OF_LOAD = 0.1  # share of a net load that is added to its standard deviation, as it neglects losses
-LEAST_LOAD = 0.01  # p.u., added to the standard deviation of every net load
-AS_IT_WAS = 0.05  # p.u. and rad: standard deviation of a voltage from its last value at a boundary of several flows
+LEAST_LOAD = 0.01  # p.u., added to the standard deviation of the power of a stand-in
+AS_IT_WAS = 0.05  # p.u. and rad: standard deviation of a voltage beside a silent neighbour from its last value
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,24 +107,19 @@ def boundary_loads(area: Area, received: Mapping[str, Loads], error: complex = 0
     return loads
 
 
-def stand_in_for(area: str, boundary: Boundary, loads: Loads) -> BoundaryInformation:
-    """Information for ``area`` about the variables y of the ``boundary``, p.u. and rad, from net loads beyond."""
-    y, weights = np.zeros(boundary.d), np.zeros(boundary.d)
-    s = [-load.s if boundary.powers[0].area == area else load.s for load in loads]
-    weight = [1 / (load.variance**0.5 + UNSURE_OF_LOAD * abs(load.s) + LEAST_LOAD) for load in loads]
-    for kind, power in ((Kind.P, np.real(s)), (Kind.Q, np.imag(s))):
-        y[boundary.places[kind]], weights[boundary.places[kind]] = power, weight
-    R = np.diag(weights)
-    return BoundaryInformation(R, R @ y)
+def powers_from(area: str, boundary: Boundary, loads: Loads) -> np.ndarray:
+    """The powers of a ``boundary`` of one flow, where the net loads beyond it are ``loads``, p.u., as y has them."""
+    s = np.array([load.s for load in loads]) * (-1.0 if boundary.powers[0].area == area else 1.0)
+    return s.view(float)
 
 
-def stand_in_as_it_was(boundary: Boundary, y: np.ndarray, all_load: float) -> BoundaryInformation:
-    """Information about a ``boundary`` of several flows with a silent neighbour: its variables stay near y, shape (d,).
+def stand_in_for(boundary: Boundary, y: np.ndarray, all_load: float) -> BoundaryInformation:
+    """Information about the ``boundary`` with a silent neighbour: its variables stay near y, shape (d,).
 
-    A net load has no side in a ring. The neighbour's last information is no better, as the neighbour may have operated
-    switches since. ``all_load``: sum of the sizes of net loads on both sides, p.u. The standard deviation of each power
-    is ``all_load`` plus the largest power of y, plus LEAST_LOAD: a switch may end that power, generation may make up
-    for a load, and a current may go around the ring without any load.
+    The neighbour's last information would be too sure: its loads change, and it may operate switches. ``all_load``: sum
+    of the sizes of net loads on both sides, p.u. The standard deviation of each power is ``all_load`` plus the largest
+    power of y, plus LEAST_LOAD: a switch may end that power, generation may make up for a load, and a current may go
+    around a ring without any load.
     """
     power = 1 / (all_load + abs(y[: boundary.n_powers]).max() + LEAST_LOAD)
     R = np.diag(boundary.per_kind(power, power, 1 / AS_IT_WAS, 1 / AS_IT_WAS))
