@@ -67,7 +67,8 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[Path,
     return run
 
 
-FURTHER = ("own_strategy/compare.py", "thesis.py")  # in the default set are the tests of what they call
+# in the default set are the tests of what they call; `.ci/wheel` runs all of them, too
+FURTHER = ("first_run.py", "own_strategy/compare.py", "study.py", "thesis.py")
 
 
 @pytest.mark.parametrize("name", [*(name for name in SCRIPTS if name not in FURTHER), *further(*FURTHER)])
@@ -87,6 +88,7 @@ def test_no_script_is_left_out_and_each_has_its_tutorial():
     assert [name for name in scripts if f"examples/{name}" not in pages] == []
 
 
+@pytest.mark.long
 def test_the_rows_of_the_study_are_one_per_run(ran: Callable[[str], tuple[Path, str]]):
     folder, _ = ran("study.py")
     with (folder / "paper" / "rows.csv").open() as file:

@@ -17,6 +17,7 @@ from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.partition import Area
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.levels import further
 from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 SCENARIOS = ("ieee33", "case33bw", "industrial13")
@@ -100,7 +101,7 @@ def assert_all_name(bus: SimulatedBus, shown: list[StateMessage], name: str, *sp
         assert all(str(split) in note for split in splits), note
 
 
-@pytest.mark.random_cases(few=2, long=6, many=90)
+@pytest.mark.random_cases(few=1, long=6, many=90)
 @pytest.mark.parametrize("what", EDITS)
 def test_one_older_or_edited_file_leaves_no_area_good_and_all_name_it_within_one_scan(what: str, random_seed: int):
     rng = np.random.default_rng([random_seed, list(EDITS).index(what)])
@@ -119,7 +120,7 @@ def test_one_older_or_edited_file_leaves_no_area_good_and_all_name_it_within_one
     assert_all_name(bus, shown, own.area.name, theirs, *(() if theirs.edited else (ours,)))
 
 
-@pytest.mark.parametrize("strategy", ["angle-offset", "admm"])
+@pytest.mark.parametrize("strategy", ["angle-offset", *further("admm")])
 def test_under_an_asynchronous_strategy_the_neighbours_name_it_and_no_area_is_good(strategy: str):
     scenario = load_scenario("ieee33")
     files = stamp_split(area_files_of(scenario, strategy=strategy), time=STARTED_AT)

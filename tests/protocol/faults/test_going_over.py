@@ -10,6 +10,7 @@ import pytest
 from agents.protocol.quality import GOOD
 from scenarios.telemetry import make_telemetry
 from tests.support.going_over import LONGEST_GAP_S, NEXT, OLD, GoingOver, files_of
+from tests.support.levels import further
 from tests.support.simulated_bus import SimulatedBus
 
 WHAT = ("other cuts", "other network")
@@ -58,7 +59,7 @@ def test_all_areas_go_over_with_the_scan_after_the_one_in_which_all_hold_the_nex
     assert system.longest_gap_s <= LONGEST_GAP_S
 
 
-@pytest.mark.parametrize("name", [HUB, AREAS[-1]])
+@pytest.mark.parametrize("name", [HUB, *further(AREAS[-1])])
 def test_an_area_that_dies_after_the_final_verdict_follows_when_it_is_back_with_both_files(name: str):
     system = at_rest("other cuts", *AREAS)
     system.scan()
@@ -70,7 +71,7 @@ def test_an_area_that_dies_after_the_final_verdict_follows_when_it_is_back_with_
     assert_over(system, scans=2)
 
 
-@pytest.mark.parametrize("name", [HUB, AREAS[-1]])
+@pytest.mark.parametrize("name", [AREAS[-1], *further(HUB)])
 def test_an_area_that_is_cut_off_at_the_moment_of_going_over_follows_when_it_is_heard_again(name: str):
     system = at_rest("other cuts", *AREAS)
     system.scan()

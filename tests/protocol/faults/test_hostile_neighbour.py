@@ -15,6 +15,7 @@ from dsse_core.estimation import decision as verdict
 from dsse_core.estimation.decision import MOST_NAMED, Totals, add_totals
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.levels import further
 from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 HOSTILE = (0.0, -1.0, 1e-300, 1e-9, 1e3, 1e9, 1e17, 1e300, -1e300)
@@ -44,7 +45,7 @@ def spoil(message, rng: np.random.Generator):
     return replace(message, **changes)
 
 
-@pytest.mark.random_cases(few=2, long=2, many=60)
+@pytest.mark.random_cases(few=1, long=2, many=60)
 @pytest.mark.parametrize("strategy", ["information", "angle-offset", "admm"])
 def test_whatever_a_neighbour_says_states_stay_finite_and_recover_when_it_is_sane(strategy, random_seed):
     rng = np.random.default_rng(random_seed)
@@ -141,8 +142,8 @@ def test_who_announced_a_scan_that_then_came_is_accused_no_more():
     assert rejections.far_scans == {}
 
 
-@pytest.mark.parametrize("scan", [2**40, 2**50, 2**51 - 1, 2**53 - 1])
-@pytest.mark.parametrize("victim", ["area1", "area2"])
+@pytest.mark.parametrize("scan", [2**40, *further(2**50, 2**51 - 1), 2**53 - 1])
+@pytest.mark.parametrize("victim", ["area1", *further("area2")])
 def test_one_wild_scan_number_before_any_telemetry_keeps_no_later_scan_from_being_good(scan, victim):
     scenario = load_scenario("ieee33")
     areas = ("area1", "area2", "area3")
@@ -167,7 +168,7 @@ def test_one_wild_scan_number_before_any_telemetry_keeps_no_later_scan_from_bein
         assert len({state.header.scan for state in bus.states.values()}) == 1
 
 
-@pytest.mark.parametrize("scan", [2**40, 2**50, 2**51 - 1, 2**53 - 1])
+@pytest.mark.parametrize("scan", [2**40, *further(2**50, 2**51 - 1), 2**53 - 1])
 def test_one_forged_scan_of_telemetry_keeps_no_later_scan_from_being_good(scan):
     scenario = load_scenario("ieee33")
     bus = SimulatedBus(area_files_of(scenario), make_telemetry(scenario).by_area)

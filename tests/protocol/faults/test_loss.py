@@ -52,15 +52,18 @@ def round_trips_to(bus: SimulatedBus, ends: Ends, most: int) -> int:
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-@pytest.mark.parametrize(("loss", "most"), [(0.0, 10), (0.3, 100), pytest.param(0.6, 500, marks=pytest.mark.long)])
-def test_a_lost_message_costs_round_trips_and_no_heartbeat(strategy: str, loss: float, most: int):
+@pytest.mark.parametrize(
+    ("loss", "most"), [(0.3, 100), *(pytest.param(*case, marks=pytest.mark.long) for case in ((0.0, 10), (0.6, 500)))]
+)
+@pytest.mark.n_cases(few=1, long=3, many=3)
+def test_a_lost_message_costs_round_trips_and_no_heartbeat(strategy: str, loss: float, most: int, n_cases: int):
     """Waits end at 20 ms, ten round trips: a heartbeat of 20 s would be 10,000.
 
     Which messages are lost depends on how many have been sent: rounds send heartbeats before the end of a term, as many
     as patience needs, the others none by the clock.
     """
     ends = find_ends(strategy)
-    for seed in range(3):
+    for seed in range(n_cases):
         counts = {
             round_trips_to(bus_with(strategy, loss=loss, heartbeat_s=b, seed=seed), ends, most) for b in (0.2, 2, 20)
         }

@@ -13,6 +13,7 @@ from dsse_core.estimation.decision import MOST_STEPS
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Source
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.levels import further
 from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 MOST_ROUNDS = 30
@@ -42,7 +43,7 @@ def end_of_centre(scenario: Scenario, readings: dict[str, list[Measurement]]) ->
     return report.suspect.reason if report.suspect else ""
 
 
-@pytest.mark.parametrize("factor", [1000.0, 100.0])
+@pytest.mark.parametrize("factor", [1000.0, *further(100.0)])
 @pytest.mark.parametrize(("name", "area"), [("ieee33", "area1"), ("ieee33", "area3"), ("industrial13", "area2")])
 def test_readings_of_an_area_times_a_thousand_cost_few_rounds_and_name_the_reason(name: str, area: str, factor: float):
     scenario = load_scenario(name)

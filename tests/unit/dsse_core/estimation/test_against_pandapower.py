@@ -41,7 +41,7 @@ def pandapower_net(network):
 
 def test_the_power_flows_agree(feeder):
     net = pandapower_net(feeder)
-    pandapower.runpp(net, tolerance_mva=1e-9)
+    pandapower.runpp(net, tolerance_mva=1e-9, numba=False)
     result = solve_power_flow(feeder)
     np.testing.assert_allclose(result.vm, net.res_bus.vm_pu, atol=1e-6)
     np.testing.assert_allclose(result.va, np.radians(net.res_bus.va_degree), atol=1e-6)

@@ -21,6 +21,7 @@ from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 from tests.support.dense_rows import rows_of
 from tests.support.grids import MeterShares, make_grid
+from tests.support.levels import further
 
 Kind = MeasurementKind
 FLOWS = (Kind.P_FLOW, Kind.Q_FLOW)
@@ -127,6 +128,7 @@ def test_residual_variances_survive_impedances_near_zero_and_sigmas_over_four_de
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("backend", ["sparse", *further("sparse, compiled", "radial")], indirect=True)
 def test_the_objective_is_chi_square_distributed_with_the_degrees_of_freedom(
     rich, meters_of, zero_injections, read, estimate
 ):
