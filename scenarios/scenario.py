@@ -21,6 +21,7 @@ from dsse_core.grid.measurement import Measurement, Meter, Source
 from dsse_core.grid.meter_table import KINDS, join_meters, tabulate_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area, Partition
+from dsse_core.grid.switches import keep_meters_in_service
 from dsse_core.printable import printable
 from dsse_core.reading_rules import ReadingRules
 from scenarios.faults.faults import (
@@ -120,6 +121,16 @@ class Scenario:
         if not rules.follow_clocks:
             return None
         return self.run.scan_s or min(rule.period_s for rule in rules.kinds.values() if rule.period_s)
+
+    def operated(self, closed: Mapping[str, bool]) -> Scenario:
+        """The same scenario with switches as in ``closed``: switch -> True where it is closed; others stay. Meters at
+        branches that are open are left out.
+        """
+        partition = self.partition.operated(closed)
+        if partition is self.partition:
+            return self
+        meters = keep_meters_in_service(partition.network, self.meters)
+        return replace(self, network=partition.network, partition=partition, meters=meters)
 
     def __repr__(self) -> str:
         buses, areas = len(self.network.buses), len(self.partition.areas)

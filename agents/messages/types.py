@@ -287,7 +287,7 @@ class CommandMessage:
 
     ``meters_off``: meters to leave out from now on; ``meters_on``: meters to use again. Other meters stay as they are,
     so the commands of two operators add up. ``scan``: the area takes the newest readings at once. ``stop``: its process
-    ends.
+    ends. ``opened``, ``closed``: switches that are open, or closed, from now on.
     """
 
     kind: ClassVar[str] = "command"
@@ -297,6 +297,12 @@ class CommandMessage:
     meters_on: Names
     scan: bool
     stop: bool
+    opened: Names = ()
+    closed: Names = ()
+
+    def find_misfit(self) -> str:
+        both = {*self.opened} & {*self.closed}
+        return f"a command to open and to close {min(both)}" if both else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,6 +337,7 @@ class StateMessage:
     of the area file; ``next_split``: of the file that lies ready beside it. ``into_children``: P and Q from each of the
     area's boundary buses into the branches of each child there, as ``Area.powers_into_children`` has them; empty where
     they are not known. ``phases``: of each entry of ``buses``, which then are nodes; empty in a balanced network.
+    ``switches``: switch that the area holds -> "open" or "closed", on which the estimate rests.
     """
 
     kind: ClassVar[str] = "state"
@@ -368,6 +375,7 @@ class StateMessage:
     next_split: SplitIdentity = NO_SPLIT
     into_children: Numbers = ()
     phases: Names = ()
+    switches: dict[Name, Name] = field(default_factory=dict)
 
     @property
     def nodes(self) -> tuple[tuple[int, str], ...]:

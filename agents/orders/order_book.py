@@ -18,6 +18,7 @@ from agents.protocol.configuration import Configuration
 from agents.protocol.events import Event, Ordered, Rejected, StopRequested
 from agents.security.access import OPERATOR
 from dsse_core.grid.measurement import Source
+from dsse_core.grid.switches import name_status
 from dsse_core.printable import listed, printable
 
 log = logging.getLogger(__name__)
@@ -35,7 +36,7 @@ class OrderBook:
     """Record of the operator's commands that process ``name`` of ``run`` has followed.
 
     Args:
-        meters: ids of its own meters; other ids in a command are ignored.
+        meters, switches: ids of its own ones; other ids in a command are ignored.
         file: where the record outlives the process; None: the process keeps nothing, as one without meters.
         began_at: s since 1970; older commands are not followed.
 
@@ -50,10 +51,11 @@ class OrderBook:
         meters: Collection[str] = (),
         file: OrderFile | None = None,
         began_at: float = 0.0,
+        switches: Collection[str] = (),
     ) -> None:
         self._name = name
         self._run = run
-        self._meters = frozenset(meters)
+        self._meters, self._switches = frozenset(meters), frozenset(switches)
         self._file = file
         self._began_at = began_at
         self._followed = file.load() if file else Followed()
@@ -63,7 +65,7 @@ class OrderBook:
     def of(cls, content: Configuration, file: OrderFile | None = None) -> OrderBook:
         """The order book of the area of ``content``."""
         meters = [meter.id for meter in content.meters if meter.source is not Source.VIRTUAL]
-        return cls(content.area.name, content.run, meters, file)
+        return cls(content.area.name, content.run, meters, file, switches=content.area.network.switches)
 
     def go_over(self, content: Configuration) -> OrderBook:
         """The order book of the same area with other meters; the commands followed so far hold."""
@@ -110,7 +112,9 @@ class OrderBook:
         """Record ``message``, then follow it: a command that a restart would forget is not followed."""
         off_now = {*self._followed.meters_off, *message.meters_off} - {*message.meters_on}
         off = tuple(sorted(self._meters & off_now))
-        followed = Followed(message.header.incarnation, message.header.sequence, off)
+        given = {**self._followed.switches} | dict.fromkeys(message.opened, False) | dict.fromkeys(message.closed, True)
+        switches = {switch: given[switch] for switch in sorted(given.keys() & self._switches)}
+        followed = Followed(message.header.incarnation, message.header.sequence, off, switches)
         try:
             if self._file:
                 self._file.save(followed)
@@ -119,6 +123,9 @@ class OrderBook:
             return
         if off != self._followed.meters_off:
             log.info("the operator has switched off: %s", printable(listed(off, MOST_NAMED)) or "no meter")
+        if switches != self._followed.switches:
+            statuses = [f"{switch} {name_status(is_closed)}" for switch, is_closed in switches.items()]
+            log.info("switches as the operator has set them: %s", printable(listed(statuses, MOST_NAMED)))
         self._followed = followed
         if message.scan:
             log.info("the operator has asked for a scan")
@@ -128,7 +135,8 @@ class OrderBook:
 
     def _ordered(self, *, scan: bool) -> Ordered:
         start, sequence = self._followed.order
-        return Ordered((start.start_ms, start.random, sequence), self._followed.meters_off, scan)
+        followed = self._followed
+        return Ordered((start.start_ms, start.random, sequence), followed.meters_off, scan, followed.switches)
 
     def _reject(self, reason: str, why: str) -> Rejected:
         self._rejected[reason] += 1

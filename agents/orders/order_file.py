@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -16,6 +17,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.files.drafts import whole_file
 from dsse_core.files.kinds import OPERATOR_FILE, FileKind
 from dsse_core.files.strict_table import FileTable, load_strict
+from dsse_core.grid.switches import CLOSED, Status, name_status
 
 Count = Annotated[int, Field(ge=0, lt=LARGEST_COUNT)]
 MeterId = Annotated[str, Field(max_length=LONGEST_NAME)]
@@ -23,11 +25,14 @@ MeterId = Annotated[str, Field(max_length=LONGEST_NAME)]
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """``incarnation``, ``sequence``: of the last command that was followed; ``meters_off``: off after all commands."""
+    """``incarnation``, ``sequence``: of the last command that was followed; ``meters_off``: off after all commands;
+    ``switches``: switch that a command has set -> True where closed.
+    """
 
     incarnation: Incarnation = NO_INCARNATION
     sequence: int = 0
     meters_off: tuple[str, ...] = ()
+    switches: Mapping[str, bool] = field(default_factory=dict)
 
     @property
     def order(self) -> tuple[Incarnation, int]:
@@ -44,6 +49,7 @@ class OperatorTable(FileTable):
         description="start in ms, random number and sequence number of the last command that was followed"
     )
     meters_off: list[MeterId] = Field(description="ids of the meters that are switched off")
+    switches: dict[MeterId, Status] = Field(default_factory=dict, description="switch and its status, open or closed")
 
 
 class OrderFile:
@@ -72,10 +78,14 @@ class OrderFile:
         try:
             table = load_strict(self.path, OperatorTable)
         except InvalidInputError as error:
-            cure = "remove it: then no meter is off, and commands of the last minute may be followed a second time"
+            cure = (
+                "remove it: then no meter is off, switches are as in the area file, and commands of the last minute "
+                "may be followed a second time"
+            )
             raise InvalidInputError(OPERATOR_FILE.called(self.path), [*error.problems, cure]) from None
         start_ms, random, sequence = table.followed
-        return Followed(Incarnation(start_ms, random), sequence, tuple(table.meters_off))
+        switches = {switch: status == CLOSED for switch, status in table.switches.items()}
+        return Followed(Incarnation(start_ms, random), sequence, tuple(table.meters_off), switches)
 
     def save(self, followed: Followed) -> None:
         """Write ``followed`` through to the disk.
@@ -87,6 +97,7 @@ class OrderFile:
         table = {
             "followed": [start.start_ms, start.random, followed.sequence],
             "meters_off": list(followed.meters_off),
+            "switches": {switch: name_status(is_closed) for switch, is_closed in followed.switches.items()},
         }
         with whole_file(self.path) as draft, draft.open("w", encoding="utf-8") as file:
             json.dump(table, file)

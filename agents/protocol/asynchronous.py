@@ -141,7 +141,7 @@ class AsynchronousProtocol(AreaProtocol):
         basis = self._usable().keys(), self._peers.present(self._now)
         if self._scan.has_been_read and (self._has_update or basis != self._basis):
             self._has_update, self._basis, self._has_solved = False, basis, True
-            self._gateways.weigh(self.scan, self._scan.readings, None)
+            self._gateways.weigh(self.scan, self._area, self._scan.readings, None)
             yield from self._work()
 
     def _work(self) -> Iterator[Action]:

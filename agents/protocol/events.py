@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from agents.messages.packing import Message
 from agents.protocol.configuration import Configuration
@@ -51,12 +52,14 @@ class Ordered:
     """A recorded command of the operator, which the area follows.
 
     ``order``: start in ms, random number and sequence number; ``meters_off``: all meters of the area that are off.
-    ``scan``: the area takes the newest readings at once.
+    ``scan``: the area takes the newest readings at once. ``switches``: all switches of the area that the operator has
+    set -> True where closed.
     """
 
     order: tuple[int, int, int]
     meters_off: tuple[str, ...]
     scan: bool = False
+    switches: Mapping[str, bool] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from agents.protocol.readings import Readings
 from dsse_core.exchange.area_estimation import FAILURES
 from dsse_core.exchange.gateway_mistakes import MISTAKES, THRESHOLD, GatewayTest, add_up
 from dsse_core.grid.partition import Area
+from dsse_core.grid.switches import keep_in_service
 from dsse_core.linear.boundary_information import BoundaryInformation
 
 
@@ -18,21 +19,28 @@ class GatewayWatch:
 
     def __init__(self, area: Area) -> None:
         self.mistaken: Mapping[str, str] = {}
-        self._test = GatewayTest(area)
+        self._area, self._test = area, GatewayTest(area)
         self._sums: dict[str, dict[float, float]] = {}  # gateway -> factor of a mistake -> evidence of scans
         self._times: dict[str, Mapping[str, float]] = {}  # gateway -> when the powers that count last were measured
         self._scan = 0
 
     def weigh(
-        self, scan: int, readings: Readings, known: tuple[np.ndarray, Mapping[str, BoundaryInformation]] | None
+        self,
+        scan: int,
+        area: Area,
+        readings: Readings,
+        known: tuple[np.ndarray, Mapping[str, BoundaryInformation]] | None,
     ) -> None:
-        """Counts the evidence of ``scan`` once; ``known``: state of the area and information of its neighbours.
+        """Counts the evidence of ``scan`` once; ``area``: with its switches as in that scan.
 
-        A gateway counts again when all its powers have been measured again: evidence of one reading counts once.
+        ``known``: state of the area and information of its neighbours. A gateway counts again when all its powers have
+        been measured again: evidence of one reading counts once.
         """
         if scan == self._scan:
             return
         self._scan = scan
+        if area is not self._area:
+            self._area, self._test = area, GatewayTest(area)
         powers = {m.meter.id for m in readings.measurements if m.meter.kind.of_power}
         for gateway in self._sums.keys() - readings.senders.keys():
             del self._sums[gateway], self._times[gateway]
@@ -56,8 +64,9 @@ class GatewayWatch:
         known: tuple[np.ndarray, Mapping[str, BoundaryInformation]] | None,
     ) -> None:
         x, received = known or (None, {})
+        in_use = keep_in_service(self._area.network, readings.measurements)
         try:
-            found = self._test.weigh(readings.measurements, meters, x, received)
+            found = self._test.weigh(in_use, meters, x, received)
         except FAILURES:  # absurd readings, which other checks note
             found = {}
         former = self._sums.get(gateway, {})

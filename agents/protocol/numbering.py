@@ -252,12 +252,14 @@ class ScanReadings:
         self._later = {later: message for later, message in self._later.items() if later > scan}
 
     def follow(self, ordered: Ordered) -> bool:
-        """Leaves out the meters that the operator has switched off.
+        """Leaves out the meters that the operator has switched off, and sets the switches that the operator has set.
 
         Returns whether the readings must be taken again for this command; the next term does so.
         """
-        off = frozenset(ordered.meters_off)
-        is_change, self.store.off = off != self.store.off, off
+        off, closed = frozenset(ordered.meters_off), dict(self.store.closed)
+        closed |= {switch: status for switch, status in ordered.switches.items() if switch in closed}
+        is_change = (off, closed) != (self.store.off, self.store.closed)
+        self.store.off, self.store.closed = off, closed
         is_due = (is_change or ordered.scan) and self.are_there
         self._takes_anew |= is_due
         return is_due

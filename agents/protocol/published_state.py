@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -19,12 +19,14 @@ from agents.protocol.readings import Ages
 from agents.strategies.interface import Estimate
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area
+from dsse_core.grid.switches import name_statuses
 
 EMPTY = "buses", "vm", "va", "sigma_vm", "sigma_va", "removed", "critical", "into_children", "phases"  # no estimate
 
 
 class PublishedState:
     """``message``: the state as last published, None before the first. ``ordered``: the last command of the operator.
+    ``closed``: switch of the area -> True where it is closed in the estimate.
 
     Args:
         header_for: the header of the message with that sequence number.
@@ -41,6 +43,7 @@ class PublishedState:
     ) -> None:
         self.message: StateMessage | None = None
         self.ordered = Ordered((0, 0, 0), ())
+        self.closed: Mapping[str, bool] = area.network.switches
         self._network = area.network
         self._peers = peers
         self._scan = scan
@@ -105,6 +108,7 @@ class PublishedState:
             command=self.ordered.order,
             split=self._splits.own,
             next_split=self._splits.held,
+            switches=name_statuses(self.closed),
         )
         if last is not None and content_of(last) == content_of(state) and last.header.scan == scan:
             state = replace(state, header=replace(state.header, sequence=last.header.sequence))

@@ -61,7 +61,8 @@ class ReadingStore:
 
     ``newest``: meter id -> its newest reading. ``why_rejected``: meter id -> reason for which a newer one was rejected.
     ``rejected``: number of rejected readings, by reason. ``off``: ids of the meters that the operator has switched off,
-    which the next snapshot leaves out.
+    which the next snapshot leaves out. ``closed``: switch of the area -> True where it is closed, from the next term
+    on: as in the area file, or as the operator has said.
     """
 
     def __init__(self, content: Configuration) -> None:
@@ -69,6 +70,7 @@ class ReadingStore:
         self.why_rejected: dict[str, str] = {}
         self.rejected: Counter[str] = Counter()
         self.off: frozenset[str] = frozenset()
+        self.closed = dict(content.area.network.switches)
         self.lead_s = allowed_lead_s(content.scan_s)
         self._rules = content.readings
         self._all_at_every_scan = not any(rule.period_s for rule in content.readings.kinds.values())

@@ -89,7 +89,7 @@ class AnyStrategy:
             consensus does not wait for that.
         estimates_alone: each area estimates from ``local_meters`` and the messages of its neighbours, and must be
             observable with these; else the areas must be observable together.
-        takes_rings: more than one flow may pass a boundary (``Boundary``).
+        takes_rings: more than one flow may pass a boundary (``Boundary``), and switches may be operated.
         why_no_phases: the reason why buses may not have phases; empty where they may.
     """
 
@@ -101,12 +101,16 @@ class AnyStrategy:
 
     @classmethod
     def find_area_problems(cls, strategy: str, areas: Sequence[Area]) -> list[str]:
-        """Pairs of areas between which rings pass, and phases, where this class, named ``strategy``, takes none."""
+        """Rings between areas, switches and phases, where this class, named ``strategy``, takes none."""
         met = {frozenset((a.name, n.area)): a.boundaries[n.area] for a in areas for n in a.neighbours}
         problems = []
         if cls.why_no_phases and not all(area.network.table.nodes.is_balanced for area in areas):
             problem = f"buses have phases, which strategy {strategy!r} cannot take: {cls.why_no_phases}"
             problems.append(f"{problem}; use 'information' or 'admm'")
+        for area in areas if not cls.takes_rings else ():
+            if switches := area.network.switches:
+                problem = f"area {area.name} has the switch {', '.join(switches)}, which strategy {strategy!r}"
+                problems.append(f"{problem} cannot operate; use 'information', or leave `switch = true` out")
         return problems + [
             f"areas {' and '.join(sorted(pair))} share bus {', '.join(map(str, boundary.buses))}: a ring, which "
             f"strategy {strategy!r} cannot take; use 'information', or cut so that areas form a tree"

@@ -19,7 +19,7 @@ from coordinator.cli.live.record import record, replay
 from coordinator.cli.live.serve import serve
 from coordinator.cli.live.watch import metrics, watch
 from coordinator.cli.networks import generate, import_file, partition, scenarios_commands
-from coordinator.cli.operator import meter, scan, stop
+from coordinator.cli.operator import meter, scan, stop, switch
 from coordinator.cli.outputs import Output, check_parquet_option, hand_over, output_options, parquet_option
 from coordinator.cli.processes import agent, compile_, keys_commands, plant, router, split
 from coordinator.cli.studies import compare, link_options, simulate, sweep, thesis
@@ -334,7 +334,7 @@ def _estimate_scans(loaded: Scenario, scans: Scans, output: Output, formats: tup
 ALL = (
     *(run, simulate, scenarios_commands, check),
     *(compare, sweep, thesis, estimate, powerflow, partition, generate, import_file),
-    *(split, keys_commands, router, agent, plant, gateway, meter, scan, stop, compile_),
+    *(split, keys_commands, router, agent, plant, gateway, meter, switch, scan, stop, compile_),
     *(watch, serve, flows, metrics, record, replay),
 )
 for each in ALL:

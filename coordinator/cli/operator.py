@@ -1,4 +1,4 @@
-"""The operator's commands: ``dsse meter``, ``dsse scan`` and ``dsse stop``."""
+"""The operator's commands: ``dsse meter``, ``dsse switch``, ``dsse scan`` and ``dsse stop``."""
 
 from __future__ import annotations
 
@@ -88,6 +88,48 @@ def on(meters: tuple[str, ...], join: Joining, as_json: bool) -> None:
 def _answer_meters(areas: Mapping[str, str], state: str, as_json: bool) -> None:
     text = "\n".join(printable(f"{area}: {name} is {state}") for name, area in areas.items())
     answer(as_json, {"meters": {name: {"area": area, "is": state} for name, area in areas.items()}}, text)
+
+
+@group(OPERATE, short_help="Tell a running system that switches are open or closed.")
+def switch() -> None:
+    """Tell a running system that switches are open or closed, with the operator's key.
+
+    \b
+    Example:  dsse switch open 18-33 --connect tls/192.0.2.7:7447 --keys keys
+    """
+
+
+@switch.command("open", cls=Command, part=OPERATE, short_help="Count switches as open.")
+@click.argument("switches", metavar="ID...", nargs=-1, required=True)
+@operator_options
+@json_option
+def open_(switches: tuple[str, ...], join: Joining, as_json: bool) -> None:
+    """Count switches as open, from now on and after restarts, until `dsse switch close`.
+
+    \b
+    Example:  dsse switch open 18-33
+    """
+    with join() as operator:
+        _answer_switches(operator.set_switches(switches, closed=False), "open", as_json)
+
+
+@switch.command(cls=Command, part=OPERATE, short_help="Count switches as closed.")
+@click.argument("switches", metavar="ID...", nargs=-1, required=True)
+@operator_options
+@json_option
+def close(switches: tuple[str, ...], join: Joining, as_json: bool) -> None:
+    """Count switches as closed, from now on and after restarts, until `dsse switch open`.
+
+    \b
+    Example:  dsse switch close 18-33
+    """
+    with join() as operator:
+        _answer_switches(operator.set_switches(switches, closed=True), "closed", as_json)
+
+
+def _answer_switches(areas: Mapping[str, str], state: str, as_json: bool) -> None:
+    text = "\n".join(printable(f"{area}: {name} is {state}") for name, area in areas.items())
+    answer(as_json, {"switches": {name: {"area": area, "is": state} for name, area in areas.items()}}, text)
 
 
 @command(OPERATE, short_help="Have a running system make a scan at once.")

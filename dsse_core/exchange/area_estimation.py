@@ -27,6 +27,7 @@ from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Sour
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area
 from dsse_core.grid.quantities import Quantity
+from dsse_core.grid.switches import keep_in_service
 from dsse_core.linear import choose_backend
 from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BoundaryInformation, are_within_reason
@@ -48,7 +49,7 @@ class AreaEstimation:
     """
 
     def __init__(self, area: Area) -> None:
-        self.area = area
+        self.area = area  # with its switches as of the last ``begin``
         self._reference = area.reference[0] if area.reference else None
         self._n = area.network.n_nodes
         self._by_name = {n.area: n for n in area.neighbours}
@@ -108,18 +109,33 @@ class AreaEstimation:
         silent: Collection[str],
         stale: bool,
         loads: Mapping[str, Loads] | None = None,
+        closed: Mapping[str, bool] | None = None,
     ) -> None:
         """Starts at the state so far, with ``readings``, virtual ones included; ``silent``: neighbours not in use.
 
-        ``stale``: the readings are not of this scan. ``loads``: neighbour -> its load message.
+        ``closed``: switch of the area -> True where it is closed; others stay as they are. Meters of open ones are left
+        out. ``stale``: the readings are not of this scan. ``loads``: neighbour -> its load message.
         """
-        self._readings, self._silent, self._is_stale = tuple(readings), frozenset(silent), stale
+        self._operate(closed or {})
+        self._readings = tuple(keep_in_service(self.area.network, readings))
+        self._silent, self._is_stale = frozenset(silent), stale
         if (meters := tuple(m.meter for m in self._readings)) != self._meters_read:
             self._meters_read, self.own_meters = meters, frozenset(meter.id for meter in meters)
         self.reported, self.before_removal = set(), None
         self._start = self._start_of_term = self._flat if self.failure else self.x
         self._start_anew(())
         self.stand_ins = self._find_stand_ins(loads or {})
+
+    def _operate(self, closed: Mapping[str, bool]) -> None:
+        """Sets the area's switches. The state stays; models and no-load information of other statuses are dropped."""
+        area = self.area.operated(closed)
+        if area is self.area:
+            return
+        self.area = area
+        if self._model is not None:
+            self._model.end()
+        self._model, self._boundary_values = None, {}
+        self._no_load, self._meters_of_no_load, self._kept_no_load = None, (), {}
 
     def _find_stand_ins(self, loads: Mapping[str, Loads]) -> dict[str, BoundaryInformation]:
         """Silent neighbour -> information that stands in for its own, see ``stand_in_for``.

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from itertools import repeat
@@ -73,7 +73,8 @@ class Branch:
     Half of ``g + jb`` stands at each end. The tap stands at the from side, MATPOWER's convention: without load
     ``v_to = v_from / (tap * exp(j * shift))``; ``shift`` in rad. The rating, where it is known: ``i_max``, the current
     at either end, or ``s_max``, the apparent power, p.u. Where buses have phases ``primitive`` is the branch, and
-    ``r``, ``x`` are its size alone, by which impedances near zero are found.
+    ``r``, ``x`` are its size alone, by which impedances near zero are found. ``switch``: it may be opened and closed
+    while areas run, and ``in_service`` is its status until then.
     """
 
     id: str
@@ -90,6 +91,7 @@ class Branch:
     i_max: float | None = None
     s_max: float | None = None
     primitive: Primitive | None = None
+    switch: bool = False
 
     def other_end(self, bus: int) -> int:
         return self.to_bus if bus == self.from_bus else self.from_bus
@@ -229,6 +231,26 @@ class Network:
             at[branch.from_bus].append(branch)
             at[branch.to_bus].append(branch)
         return {bus: tuple(branches) for bus, branches in at.items()}
+
+    @cached_property
+    def switches(self) -> dict[str, bool]:
+        """Branch that may be operated -> True where it is closed."""
+        given = zip(self.branch_ids, read_given(self.branches, "switch"), strict=False)
+        return {branch: self.branch(branch).in_service for branch, is_switch in given if is_switch}
+
+    def operated(self, closed: Mapping[str, bool]) -> Network:
+        """The same network with switches as in ``closed``: switch -> True where it is closed; others stay."""
+        changed = {switch: status for switch, status in closed.items() if self.switches.get(switch, status) != status}
+        if not changed:
+            return self
+        if isinstance(self.branches, Records):
+            in_service = self.table.in_service.copy()
+            for row, branch in enumerate(self.branch_ids):
+                in_service[row] = changed.get(branch, in_service[row])
+            columns = self.branches.columns | {"in_service": in_service}
+            return replace(self, branches=Records(self.branches.make, columns))
+        statuses = ((branch, changed.get(branch.id, branch.in_service)) for branch in self.branches)
+        return replace(self, branches=tuple(replace(branch, in_service=status) for branch, status in statuses))
 
     @cached_property
     def slack(self) -> Generator | None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -82,6 +82,14 @@ class Area:
     def __repr__(self) -> str:
         buses, branches = len(self.network.buses), len(self.network.branches)
         return f"<Area {self.name!r}: {buses} buses, {branches} branches, {len(self.neighbours)} neighbours>"
+
+    def operated(self, closed: Mapping[str, bool]) -> Area:
+        """The same area with switches as in ``closed``: switch -> True where it is closed; others stay.
+
+        No variable of a boundary depends on a status, and no neighbour needs to know one.
+        """
+        network = self.network.operated(closed)
+        return self if network is self.network else replace(self, network=network)
 
     @property
     def is_reference(self) -> bool:
@@ -236,6 +244,13 @@ class Partition:
 
     def area(self, name: str) -> Area:
         return self._by_name[name]
+
+    def operated(self, closed: Mapping[str, bool]) -> Partition:
+        """The same division with switches as in ``closed``, see ``Area.operated``."""
+        network = self.network.operated(closed)
+        if network is self.network:
+            return self
+        return replace(self, network=network, areas=tuple(area.operated(closed) for area in self.areas))
 
     @cached_property
     def _by_name(self) -> dict[str, Area]:

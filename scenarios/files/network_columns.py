@@ -86,6 +86,7 @@ class BranchArrays:
     tap: np.ndarray
     shift: np.ndarray
     in_service: np.ndarray
+    switch: np.ndarray
     g: np.ndarray
     name: list[str]
     i_max: np.ndarray
@@ -122,6 +123,7 @@ class BranchArrays:
             tap=take("tap_ratio", 1.0),
             shift=np.radians(take("shift_deg")),
             in_service=np.array(_take(given, "in_service", n, True), dtype=bool),
+            switch=np.array(_take(given, "switch", n, False), dtype=bool),
             g=choose(take("g_us") * 1e-6 * z_base, "g_pu"),
             name=_take(given, "name", n, ""),
             i_max=take("rating_a", math.nan) * kv / base_current(base_mva, 1.0),
@@ -136,6 +138,8 @@ class BranchArrays:
         columns = {field.name: getattr(self, field.name) for field in fields(Branch) if hasattr(self, field.name)}
         if primitives:
             columns["primitive"] = primitives
+        if not self.switch.any():
+            del columns["switch"]
         return Records(Branch, _without_unknown(columns, ("i_max", "s_max")) | {"id": self._name()})
 
     def _name(self) -> list[str]:

@@ -168,6 +168,10 @@ class BranchTable(Table):
     """Phase shift: without load the angle of `to` is that of `from` minus the shift."""
     in_service: bool = True
     """True where the branch is closed."""
+    switch: bool = False
+    """True where the branch may be opened and closed while areas run ([operating](../how-to/operating.md)); then
+    `in_service` is its status until an order.
+    """
     name: str = ""
     """Name in results, beside the id."""
     rating_a: Positive | None = Field(default=None, description="current that the line may carry, at either end")
@@ -288,6 +292,7 @@ class BranchColumns(ColumnsTable):
     tap_ratio: list[Positive] | None = None
     shift_deg: list[float] | None = None
     in_service: list[bool] | None = None
+    switch: list[bool] | None = None
     name: list[str] | None = None
     rating_a: list[Positive | None] | None = Field(default=None, description="null where a branch has none")
     rating_mva: list[Positive | None] | None = Field(default=None, description="null where a branch has none")

@@ -39,7 +39,7 @@ class ToyEstimation:
         self._is_stale = False
         self._term, self._k, self._step = (0, 0), 0, 0.0
 
-    def begin(self, readings: Sequence, *, silent: set[str], stale: bool, loads: Mapping) -> None:
+    def begin(self, readings: Sequence, *, silent: set[str], stale: bool, loads: Mapping, closed: Mapping) -> None:
         self._silent, self._is_stale, self.failure = tuple(sorted(silent)), stale, ""
         self._term, self._k, self._step, self.final = self.find_term(), 0, 0.0, ()
         self.reading = next((m.value for m in readings), float("nan"))

@@ -116,12 +116,16 @@ class AreaRound:
         self._memory = Memory()
         self._go_to(0)
 
-    def begin(self, readings: Sequence[Measurement], *, stale: bool, loads: Mapping[str, Loads]) -> None:
-        """Begins round 0 with the readings of the term; ``loads``: neighbour -> net loads of its load message."""
+    def begin(
+        self, readings: Sequence[Measurement], *, stale: bool, loads: Mapping[str, Loads], closed: Mapping[str, bool]
+    ) -> None:
+        """Begins round 0 with the readings of the term; ``loads``: neighbour -> net loads of its load message;
+        ``closed``: switch of the area -> its status in this term.
+        """
         silent = {n.area for n in self._area.neighbours} - self.links
         self._has_begun = True
         try:
-            self.estimation.begin(readings, silent=silent, stale=stale, loads=loads)
+            self.estimation.begin(readings, silent=silent, stale=stale, loads=loads, closed=closed)
         except FAILURES as error:
             self.estimation.fail(error)
 

@@ -242,7 +242,8 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         """Begins round 0 with the readings."""
         self._has_loads_to_send = True
         loads = self._received_loads()
-        self.round.begin(self._scan.readings.measurements, stale=self._scan.stale, loads=loads)
+        closed = self._scan.store.closed
+        self.round.begin(self._scan.readings.measurements, stale=self._scan.stale, loads=loads, closed=closed)
         yield from self._go_on()
 
     # Rounds

@@ -102,7 +102,7 @@ class RoundsState:
             if not self._scan.stale:
                 has_end = self._estimate is not None and not outcome.verdict.reason
                 known = self._round.estimation.before_removal if has_end else None  # no success, no evidence
-                self._gateways.weigh(term[0], self._scan.readings, known)
+                self._gateways.weigh(term[0], self._round.estimation.area, self._scan.readings, known)
         elif not is_heartbeat and self._is_first_way_through(term):
             return None
         is_end = self._outcome is not None and self._outcome is self._round.outcome
@@ -130,6 +130,7 @@ class RoundsState:
     def _read(self, outcome: Outcome) -> tuple[Estimate | None, tuple[Finding, ...]]:
         """Returns the estimate at the end of a term, and the findings that hold until the next end."""
         estimation, estimate = self._round.estimation, None
+        self._published.closed = estimation.area.network.switches
         if not estimation.failure and outcome.verdict.reason != NOT_OBSERVABLE:
             try:
                 estimate = self._read_estimate(outcome)

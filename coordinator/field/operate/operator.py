@@ -37,12 +37,14 @@ class NotFollowedError(DsseError):
 
 @dataclass(frozen=True, slots=True)
 class _Order:
-    """The content of a command: meters to leave out or to use again, a new scan, the end of the process."""
+    """The content of a command: meters to leave out or to use again, a new scan, the end of the process, switches."""
 
     meters_off: Collection[str] = ()
     meters_on: Collection[str] = ()
     scan: bool = False
     stop: bool = False
+    opened: Collection[str] = ()
+    closed: Collection[str] = ()
 
 
 @contextmanager
@@ -135,6 +137,26 @@ class Operator:
         self._give({area: _Order(meters_on=meters) for area in concerned})
         return {meter: owners[meter] for meter in meters}
 
+    def set_switches(self, switches: Collection[str], *, closed: bool) -> dict[str, str]:
+        """States that ``switches`` are ``closed``, or open, to the areas that hold them: switch -> area.
+
+        Raises:
+            InvalidInputError: an id is that of no switch; then no order is given.
+            NotFollowedError: an area does not follow in time.
+        """
+        holders = {switch: area for area in self.areas for switch in self._state_of(area).switches}
+        if unknown := [switch for switch in switches if switch not in holders]:
+            known = f"switches are {listed(sorted(holders), MOST_NAMED)}" if holders else "there is no switch"
+            known += f"; not on the bus: {listed(self.absent, MOST_NAMED)}" if self.absent else ""
+            cure = "a branch becomes one by `switch = true` in the network file and a new split"
+            problems = [f"no area holds a switch {switch!r}; {known}; {cure}" for switch in unknown]
+            raise InvalidInputError(f"run {self.run}", problems)
+        by_area: dict[str, list[str]] = {}
+        for switch in switches:
+            by_area.setdefault(holders[switch], []).append(switch)
+        self._give({a: _Order(closed=own) if closed else _Order(opened=own) for a, own in by_area.items()})
+        return {switch: holders[switch] for switch in switches}
+
     def scan(self) -> str:
         """Has the plant make a new scan. Without a plant, all areas take the newest readings. Returns a line that says
         which of the two was done, and in which areas.
@@ -205,7 +227,8 @@ class Operator:
         incarnation, sequence = number
         header = Header(self.run, OPERATOR, incarnation, 0, sequence, time.time())
         off, on = tuple(sorted(order.meters_off)), tuple(sorted(order.meters_on))
-        message = CommandMessage(header, name, off, on, order.scan, order.stop)
+        opened, closed = tuple(sorted(order.opened)), tuple(sorted(order.closed))
+        message = CommandMessage(header, name, off, on, order.scan, order.stop, opened, closed)
         if name not in self._publishers:
             self._publishers[name] = self.session.publisher(command_key(self.run, name))
         self._publishers[name](encode(message))

@@ -19,6 +19,7 @@ from coordinator.watch.observe.duplicates import Duplicate
 from coordinator.watch.observe.grid_tables import GridTables, find_tables
 from coordinator.watch.observe.observer import Observer
 from coordinator.watch.observe.summary import summarise
+from coordinator.watch.observe.switches import find_statuses
 from dsse_core.code_places import has_whole
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data, process_bad_data_with_plan
@@ -146,9 +147,11 @@ def evaluate(
 ) -> RunOutcome:
     """Compare the areas' published states with the centralised estimate and the truth; the outcome of the run.
 
-    ``reason``: None at consensus. ``started``: start of the run on the observer's clock, s. ``faults``: kind -> number
-    of faults. ``duplicates``: areas, plants and gateways that ran twice.
+    Switches are as the areas have published them. ``reason``: None at consensus. ``started``: start of the run on the
+    observer's clock, s. ``faults``: kind -> number of faults. ``duplicates``: areas, plants and gateways that ran
+    twice.
     """
+    scenario = scenario.operated(find_statuses(scenario.partition, observer.states))
     comparison = compare(scenario.partition, observer.states, telemetry.truth, centralised.report)
     now = started + (wall_s if virtual_s is None else virtual_s)
     shown_at = now if virtual_s is not None else time.time() - (time.monotonic() - now)

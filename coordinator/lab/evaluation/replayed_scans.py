@@ -12,10 +12,12 @@ from agents.protocol.quality import NONE
 from coordinator.lab.evaluation.comparison import Comparison, compare
 from coordinator.lab.evaluation.result import make_area_result
 from coordinator.lab.evaluation.run_tables import make_run_tables
+from coordinator.watch.observe.switches import find_statuses
 from coordinator.watch.replay.ticks import Tick
 from dsse_core.errors import DsseError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.grid.measurement import Measurement, Source
+from dsse_core.grid.switches import keep_in_service
 from dsse_core.results.columns import ScanColumns, list_columns
 from dsse_core.results.results import Results
 from dsse_core.results.scans import ScanTables
@@ -41,19 +43,20 @@ class ReplayedScans:
             for name, value, sigma in zip(own.meters, own.values, own.sigmas, strict=True):
                 if name in self._meters:
                     used[name] = Measurement(self._meters[name], value, sigma)
-        readings = [*used.values(), *self._virtual]
+        scenario = self._scenario.operated(find_statuses(self._scenario.partition, states))
+        readings = keep_in_service(scenario.network, [*used.values(), *self._virtual])
         try:
-            report = process_bad_data(self._scenario.network, readings, tolerance=self._scenario.tolerances.estimator)
+            report = process_bad_data(scenario.network, readings, tolerance=scenario.tolerances.estimator)
         except DsseError:
             report = None
         label = ScanLabel(str(tick.scan), tick.at)
-        comparison = replace(compare(self._scenario.partition, states, None, report), label=label)
+        comparison = replace(compare(scenario.partition, states, None, report), label=label)
         areas = []
-        for area in self._scenario.partition.areas:
+        for area in scenario.partition.areas:
             state = states.get(area.name)
             said = (state.quality, state.notes) if state else (NONE, ())
             areas.append(asdict(make_area_result(area, state, comparison, *said)))
-        self._results.append(make_run_tables(comparison, self._scenario.meters, readings, report, areas))
+        self._results.append(make_run_tables(comparison, scenario.meters, readings, report, areas))
         removed = sorted({meter for state in states.values() for meter in state.removed})
         missing = [area["name"] for area in areas if area["objective"] is None]
         self._times.append(tick.at)

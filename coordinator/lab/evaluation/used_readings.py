@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from agents.messages.packing import ReadingsMessage, StateMessage
+from coordinator.watch.observe.switches import find_statuses
 from dsse_core.grid.columns import take_items
 from dsse_core.grid.measurement import Measurement, Source
 from dsse_core.grid.meter_table import list_ids, read_meters_of
@@ -46,13 +47,24 @@ class UsedReadings:
                 yield f"which readings {name} has used in scan {state.header.scan} is not known yet"
 
     def put_into(self, telemetry: Telemetry, states: Mapping[str, StateMessage]) -> Telemetry:
-        """``telemetry`` with the readings used in ``states``; if readings do not age, without meters that are off."""
+        """``telemetry`` with the readings used in ``states``; if readings do not age, without meters that are off, or
+        that stand at a switch that is open.
+        """
         if not self._is_needed:
-            return _without(telemetry, {meter_id for state in states.values() for meter_id in state.meters_off})
+            off = {meter_id for state in states.values() for meter_id in state.meters_off}
+            return _without(telemetry, off | self._find_left_out(states))
         by_area = {area.name: self._readings_of(area.name) for area in self._scenario.partition.areas}
         virtual = tuple(Measurement(meter, 0.0, 0.0) for meter in self._virtual)
         union = tuple(m for part in by_area.values() for m in part)
-        return replace(telemetry, by_area=by_area, union=(*union, *virtual))
+        used = replace(telemetry, by_area=by_area, union=(*union, *virtual))
+        return _without(used, self._find_left_out(states))
+
+    def _find_left_out(self, states: Mapping[str, StateMessage]) -> set[str]:
+        """Ids of the meters at switches that are open in ``states``."""
+        operated = self._scenario.operated(find_statuses(self._scenario.partition, states))
+        if operated is self._scenario:
+            return set()
+        return {*list_ids(self._scenario.meters)} - {*list_ids(operated.meters)}
 
     def _readings_of(self, area: str) -> tuple[Measurement, ...]:
         used = self._newest.get(area)

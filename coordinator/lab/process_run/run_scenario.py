@@ -43,6 +43,7 @@ from coordinator.lab.strategy_check import plan_with_strategy
 from coordinator.watch.observe.event_log import EventLog
 from coordinator.watch.observe.observer import Observer
 from coordinator.watch.observe.progress import UPDATE_S, Progress, describe_progress
+from coordinator.watch.observe.switches import find_statuses
 from coordinator.watch.run_folder import EVENTS, PARTS, RECORDING, make_run_folder
 from dsse_core.estimation.plan import FEWEST_BUSES_OF_RADIAL
 from dsse_core.linear import needs_compiled_code
@@ -173,15 +174,17 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
             run.note_time("plant_started")
             run.system.start_plant(telemetry if scenario.renew_s is None else None)
         telemetry = _keep_compared(telemetry)
-        beside = None if has_many else start_reference_estimate(lambda: _estimate_centralised(run, telemetry))
+        beside = None if has_many else start_reference_estimate(lambda: _estimate_centralised(run, scenario, telemetry))
         reason = reason or _watch(run, observer, on_update)
         used = run.used.put_into(telemetry, observer.states)
+        operated = scenario.operated(find_statuses(scenario.partition, observer.states))
         wall_s = time.monotonic() - run.started
     run.timing_s["last_change"] = max(0.0, observer.changed_at - run.started)
     run.note_time("verdict")
     run.events.write("consensus" if reason is None else "no consensus", reason=reason)
     run.system.launcher.stop()  # the processes end while the files are written
-    centralised = _find_centralised(run, used, beside if used is telemetry else None)
+    is_made = used is telemetry and operated is scenario
+    centralised = _find_centralised(run, operated, used, beside if is_made else None)
     outcome = evaluate(
         scenario,
         run.id,
@@ -210,18 +213,21 @@ def _keep_compared(telemetry: Telemetry) -> Telemetry:
     return replace(telemetry, by_area={}, truth=truth)
 
 
-def _find_centralised(run: RunUnderWay, telemetry: Telemetry, beside: Future[Centralised] | None) -> Centralised:
+def _find_centralised(
+    run: RunUnderWay, scenario: Scenario, telemetry: Telemetry, beside: Future[Centralised] | None
+) -> Centralised:
     """The centralised estimate of ``telemetry``, from ``beside`` if it is computed there. Ctrl-C ends the wait for the
     estimate; the results of the areas are still written.
     """
     try:
-        return beside.result() if beside else _estimate_centralised(run, telemetry)
+        return beside.result() if beside else _estimate_centralised(run, scenario, telemetry)
     except KeyboardInterrupt:
         return Centralised(None, INTERRUPTED)
 
 
-def _estimate_centralised(run: RunUnderWay, telemetry: Telemetry) -> Centralised:
-    found = estimate_centralised(run.scenario, telemetry, run.plan)
+def _estimate_centralised(run: RunUnderWay, scenario: Scenario, telemetry: Telemetry) -> Centralised:
+    """The centralised estimate of ``scenario``: the run's, or the same with other switches."""
+    found = estimate_centralised(scenario, telemetry, run.plan if scenario is run.scenario else None)
     run.note_time("centralised_estimated")
     return found
 

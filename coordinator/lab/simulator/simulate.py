@@ -28,6 +28,7 @@ from coordinator.lab.strategy_check import check_with_strategy
 from coordinator.watch.observe.event_log import EventLog
 from coordinator.watch.observe.progress import UPDATE_S, Progress, describe_progress
 from coordinator.watch.observe.state_log import StateLog
+from coordinator.watch.observe.switches import find_statuses
 from coordinator.watch.run_folder import RECORDING, make_run_folder
 from scenarios.faults.faults import LinkChanges
 from scenarios.faults.schedule import FaultSchedule, Step
@@ -164,8 +165,9 @@ class Simulation:
         self._write(now, "consensus" if reason is None else "no consensus", reason=reason)
         self._write(now, "run ended")
         telemetry, centralised = self._used.put_into(self._telemetry, self._observer.states), self._centralised
-        if telemetry is not self._telemetry:
-            centralised = estimate_centralised(self._scenario, telemetry)
+        scenario = self._scenario.operated(find_statuses(self._scenario.partition, self._observer.states))
+        if telemetry is not self._telemetry or scenario is not self._scenario:
+            centralised = estimate_centralised(scenario, telemetry)
         return evaluate(
             self._scenario,
             self.id,

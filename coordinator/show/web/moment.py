@@ -104,6 +104,9 @@ def _find_changes(before: AreaView | None, area: AreaView) -> Iterable[tuple[str
     off = before.meters_off if before else ()
     if {*off} != {*area.meters_off}:
         yield "operator", f"meters off: {', '.join(area.meters_off) or 'none'}"
+    for switch, status in area.switches.items():
+        if before is not None and before.switches.get(switch, status) != status:
+            yield "switch", f"{switch} is {status}"
 
 
 class Moments:

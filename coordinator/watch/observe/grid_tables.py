@@ -14,6 +14,7 @@ from agents.messages.packing import ReadingsMessage, StateMessage
 from coordinator.watch.observe.area_flows import add_problems
 from coordinator.watch.observe.freshness import NOT_KNOWN, describe_freshness
 from coordinator.watch.observe.mismatch import find_mismatches
+from coordinator.watch.observe.switches import find_statuses
 from coordinator.watch.observe.view import View
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.grid.measurement import Meter, Source
@@ -53,6 +54,7 @@ def find_tables(watcher: Watcher, view: View, known: GridTables | None) -> Table
     states, readings, freshness = watcher.states, watcher.readings, view.freshness
     if known is None:
         return Tables(list_buses(states, freshness), None, collect_readings(states, readings, freshness))
+    known = known.operated(find_statuses(known.partition, states))
     return Tables(*known.buses_and_branches(states, freshness), known.collect_meters(states, readings, freshness))
 
 
@@ -158,6 +160,15 @@ class GridTables:
     scenario: Scenario
     _last_rows: list[_MeterRows] = field(default_factory=list, repr=False, compare=False)
     _last_order: dict[str, tuple[object, np.ndarray]] = field(default_factory=dict, repr=False, compare=False)
+    _last_operated: list[tuple[object, GridTables]] = field(default_factory=list, repr=False, compare=False)
+
+    def operated(self, closed: Mapping[str, bool]) -> GridTables:
+        """Tables of the grid with switches as in ``closed``; kept until the statuses change."""
+        if closed.items() <= self.scenario.network.switches.items():
+            return self
+        if not self._last_operated or self._last_operated[0][0] != closed:
+            self._last_operated[:] = [(dict(closed), GridTables(self.scenario.operated(closed)))]
+        return self._last_operated[0][1]
 
     @property
     def partition(self) -> Partition:

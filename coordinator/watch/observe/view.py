@@ -85,6 +85,7 @@ class AreaView:
     removed: tuple[str, ...] = ()
     critical: tuple[str, ...] = ()
     meters_off: tuple[str, ...] = ()
+    switches: Mapping[str, str] = field(default_factory=dict)
     rejected: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     split: str = ""

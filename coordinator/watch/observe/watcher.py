@@ -297,6 +297,7 @@ class Watcher:
             degrees_of_freedom=state.degrees_of_freedom,
             critical=state.critical,
             meters_off=state.meters_off,
+            switches=state.switches,
             estimated=bool(state.buses),
             referenced=state.referenced,
             checked=state.checked,

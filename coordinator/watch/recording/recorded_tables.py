@@ -55,6 +55,7 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
         "removed": TEXTS,
         "critical": TEXTS,
         "meters_off": TEXTS,
+        "switches": TEXT,
         "telemetry_age_s": NUMBER,
         "oldest_reading_s": NUMBER,
         "messages": INTEGER,
@@ -104,7 +105,7 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
 """Table -> its columns and the type of each."""
 ADDED: Mapping[str, tuple[str, ...]] = {
     "readings": ("estimate", "normalised_residual"),
-    "states": ("split", "split_at", "split_edited"),
+    "states": ("split", "split_at", "split_edited", "switches"),
     "buses": ("injection_problem", *_NUMBERS, "phase"),
     "branches": (*_NUMBERS, "phase"),
 }
@@ -180,6 +181,8 @@ class RowMaker:
                     "meters_on": message.meters_on,
                     "scan": message.scan,
                     "stop": message.stop,
+                    "opened": message.opened,
+                    "closed": message.closed,
                 }
                 h = message.header
                 details = wanted | {"sender": h.sender, "incarnation": str(h.incarnation), "sequence": h.sequence}
@@ -307,6 +310,7 @@ def _state_row(at: float, state: StateMessage) -> dict[str, Any]:
         "removed": list(state.removed),
         "critical": list(state.critical),
         "meters_off": list(state.meters_off),
+        "switches": _as_text(state.switches),
         "telemetry_age_s": state.telemetry_age,
         "oldest_reading_s": state.oldest_reading,
         "messages": state.messages,

@@ -58,6 +58,7 @@ TYPES: Mapping[str, Mapping[str, Any]] = {
         "removed": Names,
         "critical": Names,
         "meters_off": Names,
+        "switches": Details | None,
         "telemetry_age_s": Number,
         "oldest_reading_s": Number,
         "messages": Count,

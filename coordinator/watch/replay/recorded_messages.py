@@ -175,7 +175,7 @@ def _to_state(row: Row, run: str, texts: dict[str, Any]) -> StateMessage:
         ValueError: a column of JSON has an invalid value; the error names the column.
     """
     blank: dict[str, Any] = dict.fromkeys(("buses", "vm", "va", "sigma_vm", "sigma_va"), ())
-    tables = {name: _read_table(column, row[column], kind, texts) for name, (column, kind) in _TABLES.items()}
+    tables = {name: _read_table(column, row[column] or "{}", kind, texts) for name, (column, kind) in _TABLES.items()}
     plain: dict[str, Any] = {name: tuple(row[name]) if isinstance(row[name], list) else row[name] for name in _SAME}
     at = row["sent_at"] or row["time"]
     return StateMessage(
@@ -219,6 +219,7 @@ _TABLES: Mapping[str, tuple[str, Any]] = {
     "ages": ("ages_s", _NUMBERS),
     "scans": ("scans", _COUNTS),
     "clock_skews": ("clock_skews_s", _NUMBERS),
+    "switches": ("switches", dict[Name, Name]),
 }
 """Table of a state -> the column of JSON that holds it, and its type."""
 _SAME = tuple(

@@ -26,7 +26,7 @@ from tests.support.exact_exchange import (
 from tests.support.feeders import Feeder
 from tests.support.grids import with_gross_errors
 from tests.support.levels import further
-from tests.support.rings import TIES, make_ring_feeder, ring33, tied13, tied33
+from tests.support.rings import ACROSS, TIES, make_ring_feeder, ring33, tied13, tied33
 from tests.support.simulated_bus import SimulatedBus, area_files_of, with_links
 
 GAP = 1e-9  # p.u. and rad
@@ -66,7 +66,6 @@ def test_two_feeders_joined_at_two_buses_end_at_the_centralised_estimate(loss):
     assert names == {("s@6>lateral", "s@18>lateral", "v@6", "v@18")}
 
 
-ACROSS = ("7-8", "10-11", "12-13", "17-18", "28-29")  # a branch of each ring
 OTHERS = [(3, TIES, (), 0.3), (8, TIES, (), 0.3), (5, (), (), 0.0), (8, TIES[:2], (), 0.0), (8, TIES, ACROSS, 0.0)]
 
 

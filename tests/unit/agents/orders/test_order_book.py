@@ -103,6 +103,21 @@ def test_a_command_of_the_past_is_rejected_also_after_a_restart(tmp_path: Path, 
     assert take(orders, earlier) == [Rejected("command of the past", 2)]
 
 
+def test_switches_stay_as_ordered_after_a_restart_and_those_of_other_areas_are_no_business_of_this_one(tmp_path: Path):
+    def book() -> OrderBook:
+        file = OrderFile.of(tmp_path / "area1.toml", "run", "area1")
+        return OrderBook("area1", "run", METERS, file, switches=("S1", "S2"))
+
+    take(book(), replace(command("M1"), opened=("S2", "elsewhere"), closed=("S1",)))
+    order = START.start_ms, START.random
+    assert book().begin() == [Ordered((*order, 1), ("M1",), switches={"S1": True, "S2": False})]
+    assert take(book(), replace(command(sequence=2), closed=("S2",))) == [
+        Ordered((*order, 2), ("M1",), switches={"S1": True, "S2": True})
+    ]
+    both = replace(command(sequence=3), opened=("S1",), closed=("S1",))
+    assert take(book(), both) == [Rejected("command malformed", 1)]
+
+
 def test_what_is_off_stays_off_after_a_restart(tmp_path: Path):
     take(book(tmp_path), command("M2", "M1"))
     assert book(tmp_path).begin() == [followed(1, "M1", "M2")]
