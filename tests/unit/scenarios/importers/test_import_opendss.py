@@ -10,12 +10,14 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.estimation.estimator import estimate_state
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.network import Network
 from dsse_core.grid.nodes import Primitive, name_node
@@ -28,6 +30,8 @@ from scenarios.importers import import_grid
 from scenarios.importers.opendss.reader import Circuit, solve_circuit
 from scenarios.importers.opendss.script import Command, read_script
 from scenarios.importers.opendss.vocabulary import Words, load_vocabulary
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import make_telemetry
 from tests.support.ieee_feeders import load_feeder, load_voltages
 from tests.support.levels import further
 
@@ -168,7 +172,14 @@ base_mva = 5.0
 source = [{ bus = 1, kind = "slack", vm_pu = 1.0 }]
 bus = [
     { id = 1, base_kv = 4.16, phases = "abc" }, { id = 2, base_kv = 4.16, phases = "abc" },
-    { id = 3, base_kv = 0.48, phases = "abc" }, { id = 4, base_kv = 4.16, phases = "abc" },
+    { id = 3, base_kv = 0.48, phases = "abc" }, { id = 4, base_kv = 4.16, phases = "a" },
+    { id = 5, base_kv = 0.208, phases = "s1s2" },
+]
+load = [
+    { bus = 2, phases = "a,bc", p_kw = [90, 60], q_kvar = [30, 20] },
+    { bus = 3, phases = "ab,bc,ca", p_kw = [40, 60, 20], q_kvar = [10, 30, 5], exponents = [1, 2] },
+    { bus = 4, phases = "a", p_kw = [70], q_kvar = [20] },
+    { bus = 5, phases = "s1,s2", p_kw = [3, 5], q_kvar = [1, 1] },
 ]
 [[branch]]
 from = 1
@@ -178,8 +189,8 @@ r_ohm = [[0.3465], [0.156, 0.3375], [0.158, 0.1535, 0.3414]]
 x_ohm = [[1.0179], [0.5017, 1.0478], [0.4236, 0.3849, 1.0348]]
 b_us = [[5.65486677646], [-1.88495559215, 6.03185789489], [-0.75398223686, -1.13097335529, 5.27787565803]]
 [[transformer]]
-windings = [{ bus = 2, phases = "abc", kv = 4.16, connection = "CONNECTION" },
-            { bus = 3, phases = "abc", kv = 0.48, connection = "grounded wye", taps = 1.025 }]
+windings = [{ bus = 2, phases = "abc", kv = 4.16, connection = "FROM" },
+            { bus = 3, phases = "abc", kv = 0.48, connection = "TO", taps = 1.025 }]
 kva = 500.0
 r_percent = 1.1
 x_percent = 4.0
@@ -189,33 +200,92 @@ windings = [{ bus = 2, phases = "a", kv = 4.16, connection = "grounded wye" },
 kva = 1666.0
 r_percent = 0.01
 x_percent = 1.0
+[[transformer]]
+windings = [{ bus = 2, phases = "b", kv = 4.16, connection = "grounded wye" },
+            { bus = 5, phases = "s1s2", kv = 0.208, connection = "centre-tapped" }]
+kva = 25.0
+r_percent = 1.2
+x_percent = 2.0
 """
 SAME = """new circuit.same basekv=4.16
 edit vsource.source bus1=1 enabled=yes
 new line.one bus1=1 bus2=2 length=1 rmatrix=[0.3465 | 0.156 0.3375 | 0.158 0.1535 0.3414]
 ~ xmatrix=[1.0179 | 0.5017 1.0478 | 0.4236 0.3849 1.0348] cmatrix=[15 | -5 16 | -2 -3 14]
-new transformer.t buses=[2 3] conns=[CONNECTION wye] kvs=[4.16 0.48] kvas=[500 500] xhl=4 %rs=[0.55 0.55]
-~ taps=[1 1.025]
+BANK
 new transformer.reg phases=1 buses=[2.1 4.1] kvs=[(4.16 3 sqrt /) (4.16 3 sqrt /)] kvas=[1666 1666] xhl=1
 ~ %rs=[0.005 0.005] taps=[1 1.0625]
-set voltagebases=[4.16 0.48]
+new transformer.tap phases=1 windings=3 buses=[2.2 5.1.0 5.0.2] kvs=[(4.16 3 sqrt /) (0.208 3 sqrt /) (0.208 3 sqrt /)]
+~ kvas=[25 25 25] xhl=2.4 xht=2.4 xlt=1.6 %rs=[0.6 1.2 1.2]
+set voltagebases=[4.16 0.48 0.208]
 calcvoltagebases
+"""
+BANK = """new transformer.t buses=[2NEUTRAL 3NEUTRAL] conns=[CONN CONN] kvs=[4.16 0.48] kvas=[500 500] xhl=4
+~ %rs=[0.55 0.55] taps=[1 1.025]"""
+OPEN_DELTA = """new transformer.t phases=1 buses=[2.1.2 3.1.2] conns=[delta delta] kvs=[4.16 0.48] kvas=[250 250] xhl=4
+~ %rs=[0.55 0.55] taps=[1 1.025]
+new transformer.u like=t buses=[2.2.3 3.2.3]"""
+SCENARIO = """
+version = 1
+name = "own"
+description = "a bank"
+network = "own.toml"
+areas = { count = 1 }
+strategy = "information"
+[measurements]
+zero_injection = "virtual"
+voltage = { buses = [1, 2, 4, 5], sigma_percent = 0.5 }
+flow = { branches = ["1-2"], sigma_percent = 1.0 }
+injection = { buses = "all", sigma_percent = 30.0 }
+[telemetry]
+source = "network"
 """
 
 
-@pytest.mark.parametrize("connection", ["delta", *further("wye")])
-def test_lines_banks_and_regulators_by_parameters_have_the_matrices_of_opendss(tmp_path: Path, connection: str) -> None:
-    own = connection if connection == "delta" else "grounded wye"
-    path = write(tmp_path, PARAMETERS.replace("CONNECTION", own), "own.toml")
-    mine = load_network(path)
-    script = read_script(write(tmp_path, SAME.replace("CONNECTION", connection)))
-    answer = solve_circuit(script, path)
-    circuit = Circuit(answer, script)
-    for branch, name in zip(mine.branches, ("line.one", "transformer.t", "transformer.reg"), strict=True):
-        element = next(element for element in answer["elements"] if element["name"] == name)
-        _, Y = circuit.fold(element)
-        theirs = Y * circuit.base_mva / 5.0
-        assert branch.primitive.y == pytest.approx(theirs, rel=1e-8, abs=1e-8 * abs(theirs).max())
+def write_bank(at_from: str, at_to: str) -> str:
+    """A bank of OpenDSS with the connections of a network file."""
+    text = OPEN_DELTA if at_from == "ab,bc" else BANK
+    for side in (at_from, at_to):
+        text = text.replace("NEUTRAL", ".1.2.3.4" if side == "wye" else "", 1)
+        text = text.replace("CONN", side.removeprefix("grounded "), 1)
+    return text
+
+
+@pytest.mark.parametrize(
+    "connections",
+    [
+        ("delta", "grounded wye"),
+        *further(
+            ("grounded wye", "grounded wye"),
+            ("grounded wye", "delta"),
+            ("wye", "delta"),
+            ("delta", "delta"),
+            ("delta", "wye"),
+            ("wye", "wye"),
+            ("wye", "grounded wye"),
+            ("ab,bc", "ab,bc"),
+        ),
+    ],
+)
+def test_lines_banks_and_regulators_by_parameters_have_matrices_and_estimate_of_opendss(
+    tmp_path: Path, connections: tuple[str, str]
+) -> None:
+    at_from, at_to = connections
+    write(tmp_path, PARAMETERS.replace("FROM", at_from).replace("TO", at_to), "own.toml")
+    scenario = load_scenario(write(tmp_path, SCENARIO, "scenario.toml"))
+    mine = scenario.network
+    script = read_script(write(tmp_path, SAME.replace("BANK", write_bank(at_from, at_to))))
+    circuit = Circuit(solve_circuit(script, tmp_path), script)
+    circuit.base_mva = 5.0
+    named = {branch.name: branch.primitive for branch in circuit.build()[0].branches}
+    bank = "transformer.t, transformer.u" if at_from == "ab,bc" else "transformer.t"
+    theirs = [named[name] for name in ("line.one", bank, "transformer.reg", "transformer.tap")]
+    for branch, primitive in zip(mine.branches, theirs, strict=True):
+        assert branch.primitive.y == pytest.approx(primitive.y, rel=1e-8, abs=1e-8 * abs(primitive.y).max())
+    branches = [replace(branch, primitive=of) for branch, of in zip(mine.branches, theirs, strict=True)]
+    readings = make_telemetry(scenario).union
+    one, other = (estimate_state(n, readings) for n in (mine, replace(mine, branches=tuple(branches))))
+    assert other.vm == pytest.approx(one.vm, abs=1e-9)
+    assert other.va == pytest.approx(one.va, abs=1e-9)
 
 
 @pytest.mark.parametrize(
