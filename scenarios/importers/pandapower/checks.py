@@ -197,9 +197,9 @@ def find_constant_currents(net: Any) -> Iterator[str]:
 
 def find_unread(net: Any) -> Iterator[Remark]:
     """Columns that pandapower does not know, tables of its elements that are not its own, and controllers."""
-    empty = importlib.import_module("pandapower").create_empty_network()
+    tables = importlib.import_module("pandapower.network_structure").get_structure_dict()  # in which nothing is made
     for name in ALL_COLUMNS:
-        known = set(empty[name].columns) | _columns_in_schema(name)
+        known = set(tables[name]) | _columns_in_schema(name)
         meant = Suggestions(sorted(known))
         strange = [str(column) for column in net[name].columns if column not in known] if len(net[name]) else []
         if strange:
@@ -208,7 +208,7 @@ def find_unread(net: Any) -> Iterator[Remark]:
     foreign = [
         shortened(str(name), LONGEST_SHOWN)
         for name, table in net.items()
-        if name not in empty and name not in NOT_NEEDED and not str(name).startswith(("res_", "_"))
+        if name not in tables and name not in NOT_NEEDED and not str(name).startswith(("res_", "_"))
         if hasattr(table, "columns") and len(table)
     ]
     if foreign:

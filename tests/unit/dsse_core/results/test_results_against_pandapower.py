@@ -15,9 +15,11 @@ from dsse_core.results.table import Table
 from scenarios.files.network_file import load_network
 from scenarios.files.saved_network import save_network
 from scenarios.importers import import_grid
+from tests.support.pandapower_tables import make_tables_once
 
 pp: Any = pytest.importorskip("pandapower")
 networks: Any = pytest.importorskip("pandapower.networks")
+make_tables_once()
 
 pytestmark = [pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"), pytest.mark.slow]
 ENDS = {"line": ("from", "to"), "trafo": ("hv", "lv")}

@@ -20,6 +20,7 @@ from scenarios.files.readings.file import load_readings
 from scenarios.importers import import_grid
 from scenarios.scenario import load_scenario
 from tests.support.levels import further
+from tests.support.pandapower_tables import make_tables_once
 
 READERS = [
     ("scenario.toml", load_scenario),
@@ -158,6 +159,7 @@ def test_pandapower_is_handed_what_was_written_anew_and_not_the_text_of_the_file
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     networks = pytest.importorskip("pandapower.networks")
+    make_tables_once()
     pandapower = importlib.import_module("pandapower")
     net = json.loads(pandapower.to_json(networks.case4gs()))
     bus = net["_object"]["bus"]
@@ -193,6 +195,7 @@ def test_power_grid_model_is_handed_what_was_written_anew(tmp_path: Path, monkey
 @pytest.mark.slow
 def test_a_name_that_only_begins_like_json_is_a_name(tmp_path: Path):
     networks = pytest.importorskip("pandapower.networks")
+    make_tables_once()
     net = networks.case4gs()
     net.bus["name"] = ["[old] bus", "{x", '{"_module": "x"}', "[00]"]
     importlib.import_module("pandapower").to_json(net, str(tmp_path / "net.json"))
@@ -203,6 +206,7 @@ def test_a_name_that_only_begins_like_json_is_a_name(tmp_path: Path):
 @pytest.mark.parametrize("index", [10**12, *further([], "a", 1.5, -1)])
 def test_an_index_that_is_none_or_would_fill_the_memory_is_named(tmp_path: Path, index):
     networks = pytest.importorskip("pandapower.networks")
+    make_tables_once()
     net = json.loads(importlib.import_module("pandapower").to_json(networks.case4gs()))
     table = json.loads(net["_object"]["bus"]["_object"])
     table["index"][0] = index

@@ -13,10 +13,12 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.estimator import estimate_state
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from scenarios.importers import Imported, import_grid
+from tests.support.pandapower_tables import make_tables_once
 
 pp: Any = pytest.importorskip("pandapower")
 pgm: Any = pytest.importorskip("power_grid_model")
 utils: Any = pytest.importorskip("power_grid_model.utils")
+make_tables_once()
 
 pytestmark = [pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"), pytest.mark.slow]
 
@@ -68,9 +70,11 @@ def test_a_measured_constant_impedance_is_not_counted_twice(tmp_path: Path) -> N
     np.testing.assert_allclose(estimated_vm(grid), net.res_bus.vm_pu, rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_no_random_pandapower_network_has_another_estimate_than_its_exact_readings(tmp_path: Path, seed: int) -> None:
-    rng = np.random.default_rng(seed)
+@pytest.mark.random_cases(few=3, long=12, many=12)
+def test_no_random_pandapower_network_has_another_estimate_than_its_exact_readings(
+    tmp_path: Path, random_seed: int
+) -> None:
+    rng = np.random.default_rng(random_seed)
     n_bus = int(rng.integers(4, 15))
     ends = [(int(rng.integers(0, bus)), bus) for bus in range(1, n_bus)]
     shares = rng.choice([0.0, 30.0, 50.0], size=(n_bus, 2))

@@ -20,10 +20,12 @@ from scenarios.importers import Imported, import_grid
 from scenarios.importers.imported_files import write_imported
 from scenarios.scenario import load_scenario
 from tests.support.levels import further
+from tests.support.pandapower_tables import make_tables_once
 
 pp: Any = pytest.importorskip("pandapower")
 networks: Any = pytest.importorskip("pandapower.networks")
 estimation: Any = pytest.importorskip("pandapower.estimation")
+make_tables_once()
 
 pytestmark = [pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"), pytest.mark.slow]
 
