@@ -15,6 +15,7 @@ from coordinator.lab.simulator.simulator import STARTED_AT
 from dsse_core.grid.boundary import boundary_at
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.levels import further
 from tests.support.simulated_bus import SimulatedBus, area_files_of, bus_of
 
 
@@ -33,7 +34,7 @@ def test_without_loss_every_area_agrees_at_the_boundary_within_a_few_messages():
     assert max(seq for s in bus.states.values() for pair in s.sent.values() for seq in pair) <= 4
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", [0, 1, *further(*range(2, 8))])
 @pytest.mark.parametrize("loss", [0.3, 0.6, 0.9])
 def test_loss_delays_the_result_but_does_not_change_it(loss, seed):
     lossless, _, _ = bus_of("ieee33")

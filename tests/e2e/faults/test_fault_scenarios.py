@@ -98,7 +98,13 @@ def test_missing_and_late_readings_are_the_same_for_plant_areas_and_the_centrali
         assert any("no reading from" in note for area in result.area_results for note in area.notes)
 
 
-@pytest.mark.parametrize("run", RUNS.values(), ids=RUNS)
+@pytest.mark.parametrize(
+    "run",
+    [
+        pytest.param(coordinator.simulate, id="simulator"),
+        pytest.param(coordinator.run, id="processes", marks=pytest.mark.long),
+    ],
+)
 def test_an_area_killed_at_last_is_missed_and_its_last_state_is_not_called_good(
     run: Callable[..., RunResult], edited_scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

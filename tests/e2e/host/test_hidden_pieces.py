@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.dsse_command import ENVIRONMENT, ROOT
+from tests.support.levels import further
 
 HIDE = """
 import os, signal, socket, sys
@@ -55,40 +56,50 @@ if __name__ == "__main__":
 """
 
 
+WITHOUT_SIGCHLD = {"run industrial13": "this system has no SIGCHLD", "stop run": "there is no such folder"}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("hidden", "missing"),
+    "hidden",
     [
-        ("fcntl resource", {}),
-        pytest.param("os.fork", {}, marks=pytest.mark.long),
-        pytest.param(
-            "os.sched_getaffinity os.geteuid os.nice os.killpg os.getpgrp os.fchmod", {}, marks=pytest.mark.long
-        ),
-        pytest.param("os.O_NOFOLLOW os.O_NONBLOCK os.O_NOCTTY socket.SOCK_CLOEXEC", {}, marks=pytest.mark.long),
-        pytest.param(
+        "fcntl resource",
+        *further(
+            "os.fork",
+            "os.sched_getaffinity os.geteuid os.nice os.killpg os.getpgrp os.fchmod",
+            "os.O_NOFOLLOW os.O_NONBLOCK os.O_NOCTTY socket.SOCK_CLOEXEC",
             "signal.SIGHUP signal.SIGQUIT signal.SIGUSR1 signal.SIGUSR2 signal.SIGSTOP signal.SIGCONT signal.SIGKILL "
             "signal.pthread_sigmask signal.pthread_kill",
-            {},
-            marks=pytest.mark.long,
         ),
-        ("signal.SIGCHLD", {"run industrial13": "this system has no SIGCHLD", "stop run": "there is no such folder"}),
     ],
 )
-def test_without_a_piece_of_the_system_no_command_fails_but_by_a_stated_reason(
-    tmp_path: Path, hidden: str, missing: dict[str, str]
+def test_without_a_piece_of_the_system_every_command_works(tmp_path: Path, hidden: str):
+    codes, errors = run_without(tmp_path, hidden, list(COMMANDS))
+    assert codes == COMMANDS, errors
+
+
+@pytest.mark.parametrize("commands", [[*WITHOUT_SIGCHLD], *further([*COMMANDS])], ids=["that need it", "all"])
+def test_without_the_signal_of_an_ended_child_a_run_states_it_and_other_commands_work(
+    tmp_path: Path, commands: list[str]
 ):
-    (tmp_path / "sitecustomize.py").write_text(HIDE)
-    (tmp_path / "driver.py").write_text(DRIVER)
+    chosen = [command for command in COMMANDS if command.startswith(tuple(commands))]
+    codes, errors = run_without(tmp_path, "signal.SIGCHLD", chosen)
+    needing = [command for command in chosen if command.startswith(tuple(WITHOUT_SIGCHLD))]
+    assert codes == {command: 2 if command in needing else COMMANDS[command] for command in chosen}, errors
+    assert all(reason in errors for reason in WITHOUT_SIGCHLD.values())
+
+
+def run_without(folder: Path, hidden: str, commands: list[str]) -> tuple[dict[str, int], str]:
+    """Exit codes of ``commands``, run one after the other in a process without ``hidden``; its standard error."""
+    (folder / "sitecustomize.py").write_text(HIDE)
+    (folder / "driver.py").write_text(DRIVER)
     ended = subprocess.run(
-        [sys.executable, "-P", "driver.py", json.dumps(list(COMMANDS))],
-        cwd=tmp_path,
-        env=ENVIRONMENT | {"PYTHONPATH": f"{tmp_path}:{ROOT}", "PIECES_HIDDEN": hidden},
+        [sys.executable, "-P", "driver.py", json.dumps(commands)],
+        cwd=folder,
+        env=ENVIRONMENT | {"PYTHONPATH": f"{folder}:{ROOT}", "PIECES_HIDDEN": hidden},
         capture_output=True,
         text=True,
         timeout=600,
     )
     assert "Traceback" not in ended.stderr, ended.stderr
-    codes = json.loads((tmp_path / "codes.json").read_text())
-    stated = {command: 2 for command in COMMANDS if command.startswith(tuple(missing))} if missing else {}
-    assert codes == COMMANDS | stated, ended.stderr
-    assert all(reason in ended.stderr for reason in missing.values())
+    return json.loads((folder / "codes.json").read_text()), ended.stderr

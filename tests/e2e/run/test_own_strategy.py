@@ -43,6 +43,7 @@ def test_a_strategy_of_ones_own_reaches_consensus_where_messages_are_lost(comman
     assert 1e-6 < result["verdict"]["gap_vm_pu"] < 0.002  # below that of angle-offset, 0.0021
 
 
+@pytest.mark.long
 def test_dsse_compare_shows_it_beside_the_others(tmp_path: Path):
     run = dsse(tmp_path, "compare", "ieee33", "--out", "out")
     assert run.returncode == 0, run.stderr

@@ -80,7 +80,10 @@ def test_another_seed_means_other_telemetry(tmp_path: Path):
     assert one.verdict.gap_vm_pu != other.verdict.gap_vm_pu
 
 
-@pytest.mark.parametrize(("name", "strategy"), [("industrial13-load-error", "information"), ("ieee33-lossy", "admm")])
+@pytest.mark.parametrize(
+    ("name", "strategy"),
+    [("ieee33-lossy", "admm"), pytest.param("industrial13-load-error", "information", marks=pytest.mark.long)],
+)
 def test_exact_strategies_give_the_centralised_estimate(name: str, strategy: str, tmp_path: Path):
     """In exact arithmetic their fixed point is the centralised estimate; what is left is tolerances and rounding."""
     result = coordinator.run(name, out=tmp_path / "out", strategy=strategy, plots=False, timeout_s=DEADLINE_S)
@@ -139,7 +142,9 @@ def wrong_on_every_link(scenario: Scenario) -> list[dict[str, object]]:
     return [{"from": n.area, "to": a.name, "load": ERROR} for a in scenario.partition.areas for n in a.neighbours]
 
 
-@pytest.mark.parametrize(("case", "table"), [("industrial13", "5.12"), ("ieee33", "5.24")])
+@pytest.mark.parametrize(
+    ("case", "table"), [("industrial13", "5.12"), pytest.param("ieee33", "5.24", marks=pytest.mark.long)]
+)
 def test_under_losses_real_processes_give_the_tables_of_the_thesis(case: str, table: str, tmp_path: Path):
     """With wrong load messages in the system of section 5.2; the thesis has no such table of the 33 buses."""
     scenario = load_scenario(f"{case}-thesis")

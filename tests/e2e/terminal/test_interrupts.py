@@ -63,7 +63,7 @@ def interrupted_at(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[
         pytest.param("plant ieee33", "numpy", marks=pytest.mark.long),
         ("run ieee33 --out out", "coordinator.lab.process_run.run_scenario"),
         pytest.param("run ieee33 --out out", "numpy", marks=pytest.mark.long),
-        ("run ieee33 --out out", "zenoh"),
+        pytest.param("run ieee33 --out out", "zenoh", marks=pytest.mark.long),
         pytest.param("run ieee33 --out out", "scenarios.telemetry", marks=pytest.mark.long),
     ],
 )

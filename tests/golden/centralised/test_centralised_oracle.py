@@ -109,14 +109,14 @@ def test_a_better_fit_than_the_oracle_is_let_pass_and_reported(tmp_path, monkeyp
         check_answer(worse, case, readings)
 
 
-@pytest.mark.random_cases(few=30, long=80, many=len(CASES))
+@pytest.mark.random_cases(few=12, long=80, many=len(CASES))
 def test_the_centralised_estimate_is_the_frozen_one_or_the_dense_one_or_fits_better(random_seed, tmp_path):
     case = case_of(random_seed)
     readings = read_as_frozen(case, tmp_path)
     check_answer(estimate(readings), case, readings)
 
 
-@pytest.mark.random_cases(few=10, long=20, many=len(CASES))
+@pytest.mark.random_cases(few=4, long=20, many=len(CASES))
 def test_so_is_that_of_the_compiled_tree(random_seed, tmp_path):
     pytest.importorskip("numba")
     case = case_of(random_seed)
@@ -128,7 +128,7 @@ def test_so_is_that_of_the_compiled_tree(random_seed, tmp_path):
     check_answer(found, case, readings)
 
 
-@pytest.mark.random_cases(few=10, long=40, many=len(CASES))
+@pytest.mark.random_cases(few=4, long=40, many=len(CASES))
 def test_the_dense_reference_finds_what_is_frozen(random_seed, tmp_path):
     case = case_of(random_seed)
     readings = read_as_frozen(case, tmp_path)

@@ -18,6 +18,7 @@ from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 from tests.support.exact_exchange import assert_equals_centralised, settle_bus
+from tests.support.levels import further
 from tests.support.simulated_bus import SimulatedBus, area_files_of, with_links
 from tests.support.tree_of_areas import tree_scenario
 
@@ -98,7 +99,7 @@ def test_a_cut_link_degrades_the_whole_feeder_after_three_heartbeats(strategy: s
 
 
 @pytest.mark.parametrize("strategy", ["information", "angle-offset", "admm"])
-@pytest.mark.parametrize("direction", [("a", "b"), ("b", "a")])
+@pytest.mark.parametrize("direction", [("a", "b"), *further(("b", "a"))])
 def test_a_link_that_passes_messages_one_way_only_leaves_no_area_good(strategy: str, direction: tuple[str, str]):
     bus = five_areas_at_rest(strategy)
     bus.reject_delivery = lambda sender, receiver, message: (sender, receiver) == direction
@@ -323,7 +324,7 @@ DISTURBANCES = (_cut, _kill, _pause, _silence_plant, _begin_scan_late, _lack_rea
 REMARKS = ("no reading from ",)  # they do not take good away
 
 
-@pytest.mark.parametrize("strategy", ["information", "angle-offset", pytest.param("admm", marks=pytest.mark.long)])
+@pytest.mark.parametrize("strategy", ["information", *further("angle-offset", "admm")])
 @pytest.mark.parametrize("disturb", DISTURBANCES, ids=lambda disturb: disturb.__name__.strip("_"))
 def test_no_state_is_less_than_good_without_a_reason_nor_good_with_one(strategy: str, disturb):
     scenario, shown = load_scenario("ieee33"), []

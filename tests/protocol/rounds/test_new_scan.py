@@ -15,6 +15,7 @@ from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 from tests.support.exact_exchange import settle_bus
 from tests.support.feeders import make_feeder
+from tests.support.levels import further
 from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 HEARTBEAT_S = 0.2
@@ -113,7 +114,7 @@ def test_load_messages_of_a_scan_that_does_not_end_come_at_the_heartbeat():
     assert {m.header.scan for m in loads_of(bus).values()} == {2}
 
 
-@pytest.mark.parametrize("n_area", [10, 60])
+@pytest.mark.parametrize("n_area", [10, *further(60)])
 def test_areas_in_a_row_take_no_more_rounds_than_a_few(n_area):
     feeder = make_feeder(1, n_bus=n_area + 1, n_area=n_area + 1, shape=1.0)
     bus = SimulatedBus(feeder.area_files(0.0, 0), feeder.telemetry())

@@ -17,6 +17,7 @@ from dsse_core.link_faults import LinkFaults
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.scenario import load_scenario as load
 from scenarios.telemetry import make_telemetry
+from tests.support.levels import further
 from tests.support.simulated_bus import SimulatedBus, area_files_of, bus_of
 from tests.support.tree_of_areas import TREE, sound_links, tree_scenario, with_angle_meters
 
@@ -33,7 +34,7 @@ def settle(scenario, **changes):
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.5])
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [0, 1, *further(2, 3, 4)])
 def test_a_tree_of_areas_lies_within_five_sigma_of_the_centralised_estimate(seed, loss):
     """A local estimate uses a part of the central information, so Cov(local - central) = Cov(local) - Cov(central)
 

@@ -19,6 +19,7 @@ from dsse_core.power_flow.newton_raphson import solve_power_flow
 from tests.support.boundary_marginal import marginal_of
 from tests.support.feeders import Feeder, make_feeder, make_star
 from tests.support.grids import MeterShares, make_grid
+from tests.support.levels import further
 
 has_numba = importlib.util.find_spec("numba") is not None
 needs_numba = pytest.mark.skipif(not has_numba, reason="the tree needs numba: pip install 'consensus-dsse[fast]'")
@@ -100,7 +101,7 @@ def assert_same_information(case: Case, neighbour: Neighbour) -> None:
 
 @pytest.mark.slow
 @each_back_end
-@pytest.mark.random_cases(few=4, long=12, many=200)
+@pytest.mark.random_cases(few=2, long=12, many=200)
 def test_random_feeders_agree(random_seed, backend):
     rng = np.random.default_rng(random_seed)
     size = {"n_bus": int(rng.integers(3, 60)), "n_area": int(rng.integers(2, 8))}
@@ -111,7 +112,7 @@ def test_random_feeders_agree(random_seed, backend):
 
 @pytest.mark.slow
 @each_back_end
-@pytest.mark.random_cases(few=4, long=12, many=200)
+@pytest.mark.random_cases(few=2, long=12, many=200)
 def test_grids_with_transformers_shunts_angle_and_current_meters_agree(random_seed, backend):
     rng = np.random.default_rng([1, random_seed])
     shares = MeterShares(angle=float(rng.choice([0, 0.1])), current=float(rng.choice([0, 0.3])))
@@ -124,7 +125,7 @@ def test_grids_with_transformers_shunts_angle_and_current_meters_agree(random_se
 
 @pytest.mark.slow
 @needs_numba
-@pytest.mark.random_cases(few=4, long=12, many=200)
+@pytest.mark.random_cases(few=2, long=12, many=200)
 def test_areas_with_a_prior_agree(random_seed):
     """Every voltage counts as measured, beside its own meter or alone, as while a neighbour is silent.
 
@@ -176,8 +177,8 @@ def reference_of(
     """Step and covariance from one dense factor of all weighted rows, heavy ones first and columns pivoted."""
     own = model.contribution(model.predict(x))
     H, r, root = [full(model.jacobian(x))], [own.residual + own.shift], [own.weight**0.5]
-    for further in (rows.at(x) for rows in model.further):
-        H, r, root = [*H, further.H.toarray()], [*r, further.residual], [*root, 1 / further.sigma]
+    for further_rows in (rows.at(x) for rows in model.further):
+        H, r, root = [*H, further_rows.H.toarray()], [*r, further_rows.residual], [*root, 1 / further_rows.sigma]
     for neighbour in model.area.neighbours:
         y, T = model.boundary(x, neighbour)
         R, z = received[neighbour.area].rows
@@ -200,15 +201,15 @@ def test_a_second_method_and_further_rows_are_those_of_the_dense_reference_on_al
         )
         x[case.sparse.fixed] = case.x[case.sparse.fixed]
         prior = voltages_near(case.x, case.sparse)
-        for further in ((), prior, (*prior, injections_of(case.sparse, rng))):
-            asked = replace(case.sparse, method=halve_outliers, further=further)
+        for further_rows in ((), prior, (*prior, injections_of(case.sparse, rng))):
+            asked = replace(case.sparse, method=halve_outliers, further=further_rows)
             assert asked.contribution(asked.predict(x)).shift.any()
             dx, covariance = reference_of(asked, x, case.received)
             variance = covariance.diagonal()
             for backend in ("sparse", "dense", "pieces", "radial"):
                 model = replace(asked, backend=backend)
                 n = 2 * len(model.area.network.buses)
-                assert model.linear.name.startswith("dense" if len(further) == 2 else backend)
+                assert model.linear.name.startswith("dense" if len(further_rows) == 2 else backend)
                 found = model.linear.step(x, case.received)
                 np.testing.assert_allclose(found[:n], dx[:n], rtol=0, atol=1e-7 * abs(dx[:n]).max())
                 found, _ = model.linear.variances(x, case.received)
@@ -236,7 +237,7 @@ def test_a_model_read_anew_has_the_prior_of_now_and_forgets_the_former_one():
 
 @pytest.mark.slow
 @each_back_end
-@pytest.mark.parametrize("busbar", [False, True])
+@pytest.mark.parametrize("busbar", [False, *further(True)])
 def test_fifteen_areas_at_one_bus_agree(busbar, backend):
     for case in cases_of(make_star(3, busbar=busbar), np.random.default_rng(3), backend):
         assert_same(case)

@@ -30,9 +30,9 @@ def draw_meters(network: Network, rng: np.random.Generator) -> list[Meter]:
     return [*(m for m in every if rng.random() > share), *(m for m in voltages if rng.random() < share / 2)]
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_whatever_is_measured_the_tree_finds_what_the_sparse_back_end_finds(seed: int):
-    rng = np.random.default_rng(seed)
+@pytest.mark.random_cases(few=1, long=6, many=6)
+def test_whatever_is_measured_the_tree_finds_what_the_sparse_back_end_finds(random_seed: int):
+    rng = np.random.default_rng(random_seed)
     served = 0
     for _ in range(80):
         network = generate_feeder(int(rng.choice([3, 5, 9, 17])), rng)[0]

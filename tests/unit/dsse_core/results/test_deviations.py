@@ -221,6 +221,7 @@ def test_a_branch_that_carries_nothing_has_no_deviation_of_its_current(backend):
     np.testing.assert_allclose(found[[0, 1, 3, 4]], 0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("backend", ["sparse"], indirect=True)  # by which it estimates
 @pytest.mark.n_cases(few=2_000, long=10_000, many=10_000)
 def test_deviations_agree_with_samples(rich, n_cases):
     """Linearised once: samples of the state are passed through the equations of the flows themselves."""

@@ -24,6 +24,7 @@ from coordinator.watch.observe.observer import Observer
 from dsse_core.estimation.bad_data import process_bad_data
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+from tests.support.levels import further
 from tests.support.shown_states import published_by
 
 ROOT = Path(__file__).parents[5]
@@ -205,7 +206,7 @@ def test_a_gap_of_angles_is_wrapped():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("missing", [None, "area3"])
+@pytest.mark.parametrize("missing", ["area3", *further(None)])
 def test_plots_are_drawn_also_where_an_area_is_missing(tmp_path: Path, missing: str | None):
     assert write_report(a_result(tmp_path, missing=missing), ["png"], ["run", "ieee33"]).unwritten is None
     assert {path.stem for path in tmp_path.glob("*.png")} == FIGURES

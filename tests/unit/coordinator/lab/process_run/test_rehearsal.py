@@ -13,6 +13,7 @@ import pytest
 
 from agents.strategies.installed import list_strategies
 from coordinator.lab.process_run.rehearsal import AREAS, LARGEST, rehearse
+from tests.support.levels import further
 
 LATE_IMPORTS = f"""
 import sys, threading
@@ -34,7 +35,7 @@ rehearsal.rehearse("information", 12)
 """
 
 
-@pytest.mark.parametrize("n_bus", [1, 12, 45, 500])
+@pytest.mark.parametrize("n_bus", [1, *further(12, 45), 500])
 def test_a_rehearsal_that_does_not_reach_the_estimate_would_leave_code_that_never_ran(n_bus: int):
     assert rehearse("information", n_bus) == dict.fromkeys(AREAS, "good")
 
