@@ -2,10 +2,29 @@
 
 from __future__ import annotations
 
+import importlib
 from functools import cache
+from importlib.util import find_spec
 from typing import Any
 
 import pytest
+
+ONE_WORKER = pytest.mark.xdist_group("pandapower")  # which alone loads it, in five seconds of a processor
+
+
+class LoadedLate:
+    """Module of pandapower that is loaded by its first use, so not where its tests are collected only."""
+
+    def __init__(self, name: str) -> None:
+        if find_spec("pandapower") is None:
+            pytest.skip("could not import 'pandapower'", allow_module_level=True)
+        self._name = name
+
+    def __getattr__(self, attribute: str) -> Any:
+        if attribute.startswith(("_", "pytest")):  # for which pytest asks all that stands in a module
+            raise AttributeError(attribute)
+        make_tables_once()
+        return getattr(importlib.import_module(self._name), attribute)
 
 
 @cache

@@ -4,16 +4,10 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from tests.support.dsse_command import ENVIRONMENT
-
-nbclient: Any = pytest.importorskip("nbclient")
-nbformat: Any = pytest.importorskip("nbformat")
-pytest.importorskip("ipykernel")
-pytest.importorskip("pandas")
 
 CELLS = [
     "import consensus_dsse as dsse\nresult = dsse.simulate('ieee33', plots=False)\nresult",
@@ -22,6 +16,7 @@ CELLS = [
 
 
 def test_a_cell_of_a_notebook_shows_a_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    nbclient, nbformat, *_ = (pytest.importorskip(name) for name in ("nbclient", "nbformat", "ipykernel", "pandas"))
     monkeypatch.setitem(os.environ, "PYTHONPATH", ENVIRONMENT["PYTHONPATH"])
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in CELLS])
     client = nbclient.NotebookClient(notebook, timeout=1800, resources={"metadata": {"path": str(tmp_path)}})

@@ -155,6 +155,7 @@ def test_a_killed_parent_of_all_ends_the_run_and_leaves_nothing_behind(start_run
     assert_nothing_left(run.pids())
 
 
+@pytest.mark.long
 def test_the_time_limit_ends_the_run(start_run, deaf_scenario, assert_nothing_left):
     run = start_run(deaf_scenario, "--timeout", "0.5")
     code, out, _ = run.end()

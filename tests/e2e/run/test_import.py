@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 
+from tests.support.pandapower_tables import LoadedLate
 from tests.support.verdicts import assert_centralised
 
-pandapower: Any = pytest.importorskip("pandapower")
-networks: Any = pytest.importorskip("pandapower.networks")
+pandapower: Any = LoadedLate("pandapower")
+networks: Any = LoadedLate("pandapower.networks")
 
 pytestmark = [pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"), pytest.mark.long]
 

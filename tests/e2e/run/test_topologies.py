@@ -44,6 +44,7 @@ def test_neighbours_need_no_router_even_if_the_one_they_all_link_with_dies_and_c
     assert_nothing_left(run.pids())
 
 
+@pytest.mark.long
 def test_either_of_two_linked_routers_may_die_and_come_back(start_run, edited_scenario, assert_nothing_left):
     scenario = edited_scenario("ieee33")
     deaths = [

@@ -249,6 +249,7 @@ def flooding(how: str, system: Secured) -> Iterator[None]:
         flooder.wait()
 
 
+@pytest.mark.long
 def test_an_area_that_is_killed_comes_back_while_a_stranger_floods_the_port(system: Secured):
     with flooding("flood", system):
         system.end("area3", signal.SIGKILL)
@@ -268,6 +269,7 @@ def test_a_flood_that_keeps_new_links_waiting_does_not_touch_those_that_are_ther
                 assert max(gap.vm_pu, math.radians(gap.va_deg)) <= 1e-8
 
 
+@pytest.mark.long
 def test_who_has_one_areas_key_and_shouts_for_others_does_not_keep_a_restarted_area_from_agreeing(tmp_path: Path):
     with Secured(tmp_path, environment={}) as system:
         system.start_all()

@@ -72,6 +72,7 @@ def test_ctrl_c_while_modules_are_loaded_shows_no_traceback(interrupted_at, comm
     assert (done.returncode, done.stdout, done.stderr.strip()) == (130, "", "interrupted")
 
 
+@pytest.mark.long
 def test_ctrl_c_while_workers_of_a_sweep_load_their_modules_is_left_to_the_command(interrupted_at):
     sweep = ["sweep", "ieee33", "--vary", "faults.loss=0:0.2:2", "--seeds", "1", "--strategies", "information"]
     sweep += ["--jobs", "2", "--out", "out"]

@@ -14,8 +14,6 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
-import pandapower
-import pandapower.networks
 import tomli_w
 
 from coordinator.cli.main import run_command
@@ -26,6 +24,7 @@ from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.scenario import Scenario, load_scenario
 from tests.support.dsse_command import ENVIRONMENT, free_endpoint, free_port
 from tests.support.field.field_meters import FieldMeter
+from tests.support.pandapower_tables import LoadedLate
 from tests.support.system_by_hand import SystemByHand
 
 FASTER = 2
@@ -56,7 +55,8 @@ scan_s = {scan_s}
 
 def import_cigre(folder: Path) -> Scenario:
     """The feeder's scenario, whose readings are live."""
-    pandapower.to_json(pandapower.networks.create_cigre_network_mv(), str(folder / "cigre.json"))
+    pandapower, networks = LoadedLate("pandapower"), LoadedLate("pandapower.networks")
+    pandapower.to_json(networks.create_cigre_network_mv(), str(folder / "cigre.json"))
     command = ["import", str(folder / "cigre.json"), "--areas", "4", "--out", str(folder / "net")]
     assert run_command(command) == 0  # here, where pandapower is loaded already
     path = folder / "net" / "scenario.toml"

@@ -7,10 +7,12 @@ from dsse_core.estimation.estimator import estimate_state
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.network import Control
 from dsse_core.power_flow.newton_raphson import solve_power_flow
+from tests.support.pandapower_tables import ONE_WORKER, LoadedLate
 
-pandapower = pytest.importorskip("pandapower")
+pandapower = LoadedLate("pandapower")
 Kind = MeasurementKind
 pytestmark = [
+    ONE_WORKER,
     pytest.mark.filterwarnings("ignore:.*SettingWithCopy.*", "ignore:\\nA value is trying to be set on a copy"),
     pytest.mark.slow,
 ]

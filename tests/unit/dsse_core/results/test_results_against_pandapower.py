@@ -15,13 +15,16 @@ from dsse_core.results.table import Table
 from scenarios.files.network_file import load_network
 from scenarios.files.saved_network import save_network
 from scenarios.importers import import_grid
-from tests.support.pandapower_tables import make_tables_once
+from tests.support.pandapower_tables import ONE_WORKER, LoadedLate
 
-pp: Any = pytest.importorskip("pandapower")
-networks: Any = pytest.importorskip("pandapower.networks")
-make_tables_once()
+pp: Any = LoadedLate("pandapower")
+networks: Any = LoadedLate("pandapower.networks")
 
-pytestmark = [pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"), pytest.mark.slow]
+pytestmark = [
+    ONE_WORKER,
+    pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"),
+    pytest.mark.slow,
+]
 ENDS = {"line": ("from", "to"), "trafo": ("hv", "lv")}
 QUANTITY = {"p": ("p_{}_kw", 1e3, "mw"), "q": ("q_{}_kvar", 1e3, "mvar"), "i": ("i_{}_a", 1e3, "ka")}
 
@@ -89,7 +92,7 @@ def random_net(seed: int) -> Any:
     return net
 
 
-NETS: dict[str, Callable[[], Any]] = {"case33bw": networks.case33bw, "CIGRE MV": cigre_with_taps_and_shunts}
+NETS: dict[str, Callable[[], Any]] = {"case33bw": lambda: networks.case33bw(), "CIGRE MV": cigre_with_taps_and_shunts}
 NETS["everything"] = net_of_everything
 NETS |= {f"random {seed}": lambda seed=seed: random_net(seed) for seed in range(20)}
 FEW = ("case33bw", "CIGRE MV", "everything", "random 0", "random 1")

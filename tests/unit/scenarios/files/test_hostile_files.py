@@ -20,7 +20,7 @@ from scenarios.files.readings.file import load_readings
 from scenarios.importers import import_grid
 from scenarios.scenario import load_scenario
 from tests.support.levels import further
-from tests.support.pandapower_tables import make_tables_once
+from tests.support.pandapower_tables import ONE_WORKER, make_tables_once
 
 READERS = [
     ("scenario.toml", load_scenario),
@@ -154,6 +154,7 @@ def test_a_text_that_pandas_reads_and_python_does_not_names_no_module(tmp_path: 
     assert "evil_module" not in sys.modules
 
 
+@ONE_WORKER
 @pytest.mark.slow
 def test_pandapower_is_handed_what_was_written_anew_and_not_the_text_of_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -192,6 +193,7 @@ def test_power_grid_model_is_handed_what_was_written_anew(tmp_path: Path, monkey
         import_grid(tmp_path / "grid.json")
 
 
+@ONE_WORKER
 @pytest.mark.slow
 def test_a_name_that_only_begins_like_json_is_a_name(tmp_path: Path):
     networks = pytest.importorskip("pandapower.networks")
@@ -202,6 +204,7 @@ def test_a_name_that_only_begins_like_json_is_a_name(tmp_path: Path):
     assert [bus.name for bus in import_grid(tmp_path / "net.json").network.buses] == list(net.bus["name"])
 
 
+@ONE_WORKER
 @pytest.mark.slow
 @pytest.mark.parametrize("index", [10**12, *further([], "a", 1.5, -1)])
 def test_an_index_that_is_none_or_would_fill_the_memory_is_named(tmp_path: Path, index):
@@ -217,6 +220,7 @@ def test_an_index_that_is_none_or_would_fill_the_memory_is_named(tmp_path: Path,
         import_grid(path)
 
 
+@ONE_WORKER
 @pytest.mark.slow
 def test_the_module_would_be_imported_by_pandapower_itself(evil: Path):
     """What the allow-list is for; if this fails, pandapower has become careful itself."""

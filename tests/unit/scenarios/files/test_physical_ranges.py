@@ -13,6 +13,7 @@ from dsse_core.errors import InvalidInputError
 from scenarios.files.network_file import load_network
 from scenarios.files.shipped_files import find_shipped
 from scenarios.importers import import_grid
+from tests.support.pandapower_tables import ONE_WORKER
 
 CASE = """function mpc = feeder
 mpc.version = '2';
@@ -43,6 +44,7 @@ def test_a_matpower_case_is_rejected_with_the_bus_the_value_and_the_range(tmp_pa
 
 
 @pytest.mark.slow
+@ONE_WORKER
 def test_a_pandapower_network_is_rejected_alike(tmp_path: Path) -> None:
     pandapower: Any = pytest.importorskip("pandapower")
     net = pandapower.create_empty_network()

@@ -13,14 +13,17 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.estimator import estimate_state
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from scenarios.importers import Imported, import_grid
-from tests.support.pandapower_tables import make_tables_once
+from tests.support.pandapower_tables import ONE_WORKER, LoadedLate
 
-pp: Any = pytest.importorskip("pandapower")
+pp: Any = LoadedLate("pandapower")
 pgm: Any = pytest.importorskip("power_grid_model")
 utils: Any = pytest.importorskip("power_grid_model.utils")
-make_tables_once()
 
-pytestmark = [pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"), pytest.mark.slow]
+pytestmark = [
+    ONE_WORKER,
+    pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"),
+    pytest.mark.slow,
+]
 
 LOAD, SOURCE = 4, 2
 CONSTANT_POWER, CONSTANT_IMPEDANCE, CONSTANT_CURRENT = 0, 1, 2

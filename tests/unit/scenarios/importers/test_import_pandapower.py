@@ -20,26 +20,29 @@ from scenarios.importers import Imported, import_grid
 from scenarios.importers.imported_files import write_imported
 from scenarios.scenario import load_scenario
 from tests.support.levels import further
-from tests.support.pandapower_tables import make_tables_once
+from tests.support.pandapower_tables import ONE_WORKER, LoadedLate
 
-pp: Any = pytest.importorskip("pandapower")
-networks: Any = pytest.importorskip("pandapower.networks")
-estimation: Any = pytest.importorskip("pandapower.estimation")
-make_tables_once()
+pp: Any = LoadedLate("pandapower")
+networks: Any = LoadedLate("pandapower.networks")
+estimation: Any = LoadedLate("pandapower.estimation")
 
-pytestmark = [pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"), pytest.mark.slow]
+pytestmark = [
+    ONE_WORKER,
+    pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"),
+    pytest.mark.slow,
+]
 
 BUNDLED: dict[str, Callable[[], Any]] = {
-    "case33bw, radial": networks.case33bw,
-    "case4gs, meshed": networks.case4gs,
-    "case9, generators": networks.case9,
-    "case118, taps and shunts": networks.case118,
+    "case33bw, radial": lambda: networks.case33bw(),
+    "case4gs, meshed": lambda: networks.case4gs(),
+    "case9, generators": lambda: networks.case9(),
+    "case118, taps and shunts": lambda: networks.case118(),
     "CIGRE MV with DER": lambda: networks.create_cigre_network_mv(with_der="pv_wind"),
-    "CIGRE LV, closed switches": networks.create_cigre_network_lv,
+    "CIGRE LV, closed switches": lambda: networks.create_cigre_network_lv(),
     "MV Oberrhein": lambda: networks.mv_oberrhein(separation_by_sub=True)[1],
-    "Kerber": networks.create_kerber_landnetz_freileitung_1,
-    "open ring": networks.simple_mv_open_ring_net,
-    "Great Britain, taps that do not cancel around loops": networks.GBnetwork,
+    "Kerber": lambda: networks.create_kerber_landnetz_freileitung_1(),
+    "open ring": lambda: networks.simple_mv_open_ring_net(),
+    "Great Britain, taps that do not cancel around loops": lambda: networks.GBnetwork(),
 }
 
 
