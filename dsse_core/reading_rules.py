@@ -18,8 +18,8 @@ LEADER = "plant"
 ANYBODY = "*"  # stands for every gateway; no gateway has this name
 OLDEST_INTERVALS = 5  # after which a reading is left out, unless the rule of its kind says otherwise
 OVERDUE_INTERVALS = 2  # after which it is overdue
-LEAST_LEAD_S = 1.0  # by which a reading may be ahead of its receiver's clock, or
-LEAD_SHARE = 1 / 4  # of the time between two scans, if that is more; no two clocks may be farther apart
+SCAN_SHARE = 1 / 4  # of the time between two scans: wait for readings; no two clocks may be farther apart
+LEAST_LEAD_S = 1.0  # by which a reading may be ahead of its receiver's clock, or ``SCAN_SHARE``, if that is more
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ NO_RULE = KindRule()
 
 def allowed_lead_s(scan_s: float | None) -> float:
     """Longest time by which a reading may be ahead of its receiver's clock, s; ``scan_s``: time between scans, s."""
-    return max(LEAST_LEAD_S, LEAD_SHARE * (scan_s or 0.0))
+    return max(LEAST_LEAD_S, SCAN_SHARE * (scan_s or 0.0))
 
 
 AnyOrder = TypeVar("AnyOrder", bound=tuple[Any, ...])

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 Order = TypeVar("Order", bound=Any)
 """Order of the messages of a sender: incarnation and sequence number, or the number within an incarnation."""
 FRESH_HEARTBEATS = 3  # younger is fresh: at rest there is a heartbeat in every interval, and two in a row may be lost
-PASSED_ON_HEARTBEATS = 3.5  # older is not passed on as fresh; the third heartbeat, just after three heartbeats, may be
+PASSED_ON_HEARTBEATS = FRESH_HEARTBEATS + 0.5  # older is not passed on as fresh; the third heartbeat may be late
 PATIENCE_HEARTBEATS = 8  # of silence after which a process counts as gone, and its incarnation as over, at least
 
 

@@ -60,7 +60,7 @@ from agents.protocol.published_state import PublishedState
 from agents.protocol.scan_end import ScanEnd
 from dsse_core.exchange.boundary_load import Loads, load_message_for
 from dsse_core.grid.measurement import Source
-from dsse_core.reading_rules import LEAD_SHARE
+from dsse_core.reading_rules import SCAN_SHARE
 from dsse_core.split_identity import NO_SPLIT
 
 REPEAT_READINGS_S = 10.0  # of unchanged readings in use, for recorders and watchers that join later
@@ -86,7 +86,7 @@ class AreaProtocol(ABC):
         self._is_awake = True  # false after a missed heartbeat of its own: then messages have waited to be taken in
         self._heartbeat_s = content.beat_s
         self._next_heartbeat = now + content.beat_s
-        skew_limit_s = LEAD_SHARE * content.scan_s if content.scan_s else math.inf
+        skew_limit_s = SCAN_SHARE * content.scan_s if content.scan_s else math.inf
         self._peers = PeerTable(content.area.neighbours, content.beat_s, now, started_at - now, skew_limit_s)
         by_clock = content.readings.ticks == "clock"
         self._scan = (TickReadings if by_clock else ScanReadings)(content, now, started_at - now)

@@ -20,12 +20,10 @@ from agents.peers.orders_and_ages import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, 
 from agents.peers.rejections import MOST_COUNTED
 from agents.protocol.configuration import Configuration
 from agents.protocol.events import Ordered
-from agents.protocol.readings import DEADLINE_HEARTBEATS, DEADLINE_SHARE, Readings, ReadingStore, expected_scan_s
-from dsse_core.reading_rules import NO_RULE
+from agents.protocol.readings import DEADLINE_HEARTBEATS, Readings, ReadingStore, expected_scan_s
+from dsse_core.reading_rules import NO_RULE, SCAN_SHARE
 
-MOST_AHEAD = (
-    10  # scans by which a neighbour may be ahead of telemetry that is received; with more, one of them is wrong
-)
+MOST_AHEAD = 10  # scans of a neighbour ahead of telemetry that is received; with more, one of them is wrong
 MOST_AHEAD_S = 60.0  # by which a neighbour's tick may be ahead of the own clock, beside one tick and ``MOST_AHEAD``
 ROUNDING_S = 2e-6  # of a time of day as a floating-point number, doubled: a tick that is due has come
 LARGEST_SCAN = 3 * MOST_COUNTED // 4  # that the numbering of a neighbour may lead to; scans go on from there
@@ -56,7 +54,7 @@ class ScanReadings:
         self.entered_at = now
         self._rejected: Counter[str] = Counter()  # of readings of scans
         self._heartbeat_s = content.beat_s
-        self._deadline_s = DEADLINE_SHARE * expected_scan_s(content)
+        self._deadline_s = SCAN_SHARE * expected_scan_s(content)
         self._may_be_behind_s = max(self.store.lead_s, NO_RULE.leaves_out_s(content.scan_s))
         self._may_be_ahead_s = self.store.lead_s if content.scan_s else float("inf")  # as clocks of neighbours
         self._last: TelemetryMessage | None = None

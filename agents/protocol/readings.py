@@ -24,7 +24,7 @@ from agents.peers.rejections import find_reading_rejection
 from agents.protocol.configuration import Configuration
 from dsse_core.exchange.boundary_load import Loads, measured_net_loads, own_net_loads
 from dsse_core.grid.measurement import Measurement, Meter, Source
-from dsse_core.reading_rules import ANYBODY, KindRule, allowed_lead_s, replaces
+from dsse_core.reading_rules import ANYBODY, SCAN_SHARE, KindRule, allowed_lead_s, replaces
 
 INVALID = "marked invalid"  # a reason of rejection
 AHEAD = "time in the future"  # another
@@ -32,8 +32,7 @@ OUTLIVED = "measured long before its scan"  # another
 UNKNOWN, NOT_ITS_METER = OF_THE_SENDER = "unknown meter", "meter of another gateway"  # no meter is to blame for these
 Order = tuple[float, str, tuple[Incarnation, int]]
 """Order of the readings of a meter: time of measurement; at equal times gateway, then message."""
-DEADLINE_HEARTBEATS = 5  # after which an area goes on without its own readings; or
-DEADLINE_SHARE = 1 / 4  # of the time between two scans, where that is known
+DEADLINE_HEARTBEATS = 5  # after which an area goes on without its own readings, where no time between scans is known
 
 Read = dict[str, tuple[Measurement, float]]
 """Meter id -> its reading, and the time of measurement, s since 1970 UTC."""
@@ -159,9 +158,9 @@ class ReadingStore:
 def expected_scan_s(content: Configuration) -> float:
     """Returns the time between two scans, s.
 
-    Where it is not known: the time of which ``DEADLINE_SHARE`` lasts ``DEADLINE_HEARTBEATS``.
+    Where it is not known: the time of which ``SCAN_SHARE`` lasts ``DEADLINE_HEARTBEATS``.
     """
-    return content.scan_s or DEADLINE_HEARTBEATS / DEADLINE_SHARE * content.beat_s
+    return content.scan_s or DEADLINE_HEARTBEATS / SCAN_SHARE * content.beat_s
 
 
 @dataclass(frozen=True)

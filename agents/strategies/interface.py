@@ -17,10 +17,11 @@ import numpy as np
 from agents.messages.packing import BoundaryUpdate, Header
 from agents.protocol.configuration import Configuration
 from dsse_core.exchange.boundary_load import Loads
+from dsse_core.gauss_newton import FARTHEST_DVM
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.partition import Area, Neighbour
 
-LARGEST_VM = 10.0  # p.u.; an iteration that exceeds it wanders for long before it comes back, if it does
+LARGEST_VM = FARTHEST_DVM  # p.u.; an iteration that exceeds it wanders for long before it comes back, if it does
 LARGEST_VA = 1e3  # rad; larger angles lose digits
 
 

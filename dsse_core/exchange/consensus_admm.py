@@ -20,11 +20,11 @@ from dsse_core.grid.partition import Neighbour
 from dsse_core.grid.quantities import Quantity
 from dsse_core.linear.area_model import AreaModel
 from dsse_core.linear.boundary_information import EXACT_SIGMA, BoundaryInformation
+from dsse_core.linear.contributions import PRIOR_SIGMA
 
 RELAXATION = 0.8  # 1/2 is plain ADMM; with 1 the iteration swings for ever where several children share a bus
 VOLTMETER_SIGMA = 0.002  # p.u.; taken where an area has no voltmeter
 POWER_METER_SIGMA = 0.01  # p.u.; taken where an area has no power meter
-DAMPING = 0.3  # tau, p.u. and rad
 # A boundary's standard deviations are taken to lie above those of the area's meters divided by SPREAD; those of powers
 # below the meters' times SPREAD, those of voltages below the meters' own.
 SPREAD = 3.0
@@ -48,12 +48,12 @@ def compute_weight(model: AreaModel, x: np.ndarray, neighbour: Neighbour) -> np.
 
 
 def solve_damped_step(model: AreaModel, x: np.ndarray, received: Mapping[str, BoundaryInformation]) -> np.ndarray:
-    """The step dx, shape (size,), of ``(G + 1 / tau^2) dx = b``, shortened to MAX_DVM at any voltage.
+    """The step dx, shape (size,), of ``(G + 1 / PRIOR_SIGMA^2) dx = b``, shortened to MAX_DVM at any voltage.
 
     Messages do not state the information of neighbours, so that transit power shows in losses only; undamped steps
     diverge.
     """
-    dx = model.linear.step(x, received, DAMPING**-2.0)
+    dx = model.linear.step(x, received, PRIOR_SIGMA**-2.0)
     largest = float(abs(dx[: 2 * model.n_nodes]).max())
     return np.asarray(dx * min(1.0, MAX_DVM / max(largest, MAX_DVM)))
 

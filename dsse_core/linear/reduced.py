@@ -33,8 +33,7 @@ from dsse_core.linear.pieces import Pieces, Reduction, divide_tree
 from dsse_core.linear.reflections import Eliminated, eliminate, triangulate, turn_alone
 from dsse_core.linear.rows import RowSolver, shift_of_own_rows
 from dsse_core.linear.sparse import SparseRows
-
-BLOCK = 256  # functions whose variances are found at once; bounds memory at (BLOCK, size)
+from dsse_core.matrices.augmented import BLOCK
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ ROWS_OF_A_BUS = 6  # about: two of voltages, and its meters
 FEWEST_SELECTED = 400  # rows of the tableau from which on the selected inverse takes less than solves
 MOST_SOLVED = 100_000_000  # rows of the tableau times right-hand sides: some ten seconds
 FEW_SOLVED = 256  # right-hand sides, where MOST_SOLVED does not allow all
-BLOCK = 256  # right-hand sides solved at once; bounds memory at (n_meas + n_state, BLOCK)
+BLOCK = 256  # right-hand sides, or variances, found at once; bounds memory at BLOCK times the size of the system
 
 
 class AugmentedPattern:
