@@ -35,7 +35,7 @@ and of power flows, at once; elimination in networks of any shape."""
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class CodeFolder:
     """A folder for compiled code. ``fault``: the reason not to use it, as text; None where it is used."""
 
     folder: Path
@@ -43,7 +43,7 @@ class Place:
 
 
 @cache
-def find_places() -> tuple[Place, ...]:
+def find_places() -> tuple[CodeFolder, ...]:
     """All places of compiled code, in the order of their use.
 
     Raises:
@@ -55,12 +55,12 @@ def find_places() -> tuple[Place, ...]:
         if fault := find_fault(folder):
             cure = "make it writable by its owner only, or choose another folder"
             raise InvalidInputError("NUMBA_CACHE_DIR", [f"compiled code is not loaded from {folder}: {fault}; {cure}"])
-        return (Place(folder.resolve(), None),)
+        return (CodeFolder(folder.resolve(), None),)
     folders = [SOURCES / "__pycache__"]
     with contextlib.suppress(RuntimeError):  # no home
         of_user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         folders.append(of_user.absolute() / "dsse" / of_sources)
-    return tuple(Place(folder.resolve(), find_fault(folder)) for folder in folders)
+    return tuple(CodeFolder(folder.resolve(), find_fault(folder)) for folder in folders)
 
 
 def find_fault(folder: Path) -> str | None:

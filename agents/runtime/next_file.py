@@ -22,7 +22,7 @@ from dsse_core.printable import printable
 
 log = logging.getLogger(__name__)
 LOOK_S = 1.0  # between two looks at the folder
-Look = tuple[int, int, int] | None  # size, time of the last change in ns, number of the file; None where there is none
+FileStamp = tuple[int, int, int] | None  # size, time of the last change in ns, number; None where there is no file
 
 
 class NextFile:
@@ -36,10 +36,10 @@ class NextFile:
         self._own_path = path
         self._content, self._inbox, self._load = content, inbox, load
         self._next_look = 0.0
-        self._seen: Look = None  # at the last look
-        self._read: Look = None  # of the file that was read last
+        self._seen: FileStamp = None  # at the last look
+        self._read: FileStamp = None  # of the file that was read last
         self._reading: threading.Thread | None = None
-        self._found: tuple[Look, Configuration | None] = (None, None)  # the same, and its configuration
+        self._found: tuple[FileStamp, Configuration | None] = (None, None)  # the same, and its configuration
 
     def read_at_once(self) -> Configuration | None:
         """Configuration in the file that lies there when the process begins; None without a usable one."""
@@ -85,7 +85,7 @@ class NextFile:
             what = f"{printable(str(self.path))} is in use now and cannot be moved, {error.strerror}: move it to"
             log.warning("%s %s by hand, or the agent begins with the former one", what, self._own_path.name)
 
-    def _look(self) -> Look:
+    def _look(self) -> FileStamp:
         try:
             found = self.path.stat()
         except OSError:

@@ -13,7 +13,7 @@ from pathlib import Path
 from benchmarks.page.feed import RUN, Feed
 from coordinator.lab.evaluation.evaluation import choose_scenario
 from coordinator.show.web import app, sources
-from coordinator.show.web.server import Place, serve
+from coordinator.show.web.server import PageAddress, serve
 from coordinator.show.web.sources import LiveSource
 from coordinator.watch.observe.grid_tables import GridTables
 
@@ -62,6 +62,6 @@ def _serve(sender: Connection, scenario: str, is_hurried: bool) -> None:
     source = LiveSource(Feed(chosen), GridTables(chosen), RUN)
     source.start()
     try:
-        serve(source, Place("127.0.0.1", 0), (), sender.send)
+        serve(source, PageAddress("127.0.0.1", 0), (), sender.send)
     finally:
         source.close()

@@ -24,7 +24,7 @@ INTERRUPTED_CODE = 130  # 128 + 2, as a shell reports a process that SIGINT ende
 _state: dict[str, int | None] = {"is_command": False, "decided": None, "held": False, "came": False}
 
 
-class Held:
+class Uninterrupted:
     """A block that Ctrl-C does not interrupt: the command ends after the block; a second Ctrl-C ends it at once."""
 
     def __enter__(self) -> None:

@@ -17,7 +17,7 @@ from coordinator.lab.simulator.simulate import Simulation
 from coordinator.show.web.app import make_app
 from coordinator.show.web.playback.play import Play
 from coordinator.show.web.playback.source import PlaybackSource
-from coordinator.show.web.server import Place, serve
+from coordinator.show.web.server import PageAddress, serve
 from coordinator.show.web.sources import LiveSource, Source
 from coordinator.watch.http_front import Front
 from coordinator.watch.observe.watcher import Watcher
@@ -71,7 +71,7 @@ def live(watcher: Watcher) -> Iterator[LiveSource]:
 
 
 @contextmanager
-def serving(source: Source, place: Place | None = None, names: tuple[str, ...] = ()) -> Iterator[str]:
+def serving(source: Source, place: PageAddress | None = None, names: tuple[str, ...] = ()) -> Iterator[str]:
     """A server in a thread of its own; its URL."""
     import uvicorn
 
@@ -88,7 +88,7 @@ def serving(source: Source, place: Place | None = None, names: tuple[str, ...] =
         ready.set()
 
     uvicorn.Server.run = run  # type: ignore[method-assign]
-    thread = threading.Thread(target=serve, args=(source, place or Place("127.0.0.1", 0), names, on_ready))
+    thread = threading.Thread(target=serve, args=(source, place or PageAddress("127.0.0.1", 0), names, on_ready))
     thread.start()
     try:
         assert ready.wait(180)

@@ -54,7 +54,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Content:
+class RoundContent:
     """Content of a message of a round, see ``RoundMessage``; None where the message leaves it empty."""
 
     information: BoundaryInformation | None
@@ -186,7 +186,7 @@ class AreaRound:
         worst, tied = (tuple(n for n in named if n[0] not in unknown) for named in (totals.worst, totals.tied))
         return replace(totals, worst=worst, tied=tied)
 
-    def find_up(self, totals: Totals) -> Content:
+    def find_up(self, totals: Totals) -> RoundContent:
         """Returns the content of Up(k)."""
         assert self.towards_hub is not None  # else it is decided
         name, information, no_load = self.towards_hub, None, None
@@ -197,7 +197,7 @@ class AreaRound:
         elif self.estimation.is_first:
             no_load = self.estimation.no_load_for(name, self._no_load_below())
         self._sent = totals
-        return Content(information, no_load, self._find_power(name), totals)
+        return RoundContent(information, no_load, self._find_power(name), totals)
 
     def _below(self) -> Known:
         return {name: information_of(up) for name, up in self._ups.items() if up.R}
@@ -264,7 +264,7 @@ class AreaRound:
 
     def descend(
         self, verdict: Verdict, totals: Totals, decider: Decider, down: DownMessage | None
-    ) -> Iterator[tuple[str, Content]]:
+    ) -> Iterator[tuple[str, RoundContent]]:
         """Carries out ``verdict``, which ``down`` brings if given; yields the content of Down(k) for each lower
         neighbour as soon as it is known.
         """
@@ -276,10 +276,10 @@ class AreaRound:
         k, estimation, lower = self.k, self.estimation, self.lower
         is_first = estimation.is_first and not estimation.failure
 
-        def find_content(name: str) -> Content:
+        def find_content(name: str) -> RoundContent:
             information = self._find_information(name, known) if verdict.takes_step else None
             others = {n: information for n, information in no_load.items() if n != name}
-            return Content(information, estimation.no_load_for(name, others) if is_first else None, (), totals)
+            return RoundContent(information, estimation.no_load_for(name, others) if is_first else None, (), totals)
 
         boundaries = self._area.boundaries
         need_powers = [name for name in lower if boundaries[name].needs_powers(name)]  # at x_{k+1}

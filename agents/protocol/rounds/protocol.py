@@ -34,7 +34,7 @@ from agents.protocol.area_protocol import AreaProtocol
 from agents.protocol.configuration import Configuration
 from agents.protocol.events import Action, Publish
 from agents.protocol.numbering import MOST_AHEAD, TelemetryUpdate
-from agents.protocol.rounds.area_round import AreaRound, Content, Decider, Outcome
+from agents.protocol.rounds.area_round import AreaRound, Decider, Outcome, RoundContent
 from agents.protocol.rounds.state import RoundsState
 from agents.strategies.interface import AnyStrategy
 from dsse_core.estimation.decision import Totals
@@ -289,7 +289,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
     # Outgoing messages
 
-    def _fields_of(self, name: str, content: Content, k: int) -> dict[str, Any]:
+    def _fields_of(self, name: str, content: RoundContent, k: int) -> dict[str, Any]:
         """Returns the fields of a message of round ``k``; the state of the link is filled in as it is sent."""
         peer, information, no_load = self._peers[name], content.information, content.no_load
         return {

@@ -13,7 +13,7 @@ from agents.orders.order_book import REPLAYED, TOO_EARLY, TOO_OLD, UNRECORDED
 from agents.runtime.presence import begin_incarnation
 from agents.security.access import OPERATOR, PLANT
 from agents.transport.zenoh_bus import Session
-from coordinator.watch.observe.attachment import STEP_S, Look, attach, wait_until_whole
+from coordinator.watch.observe.attachment import STEP_S, Attachment, attach, wait_until_whole
 from coordinator.watch.observe.run_address import RunAddress
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import DsseError, InvalidInputError
@@ -69,7 +69,7 @@ def operate(address: RunAddress) -> Iterator[Operator]:
         yield Operator(look.session, look.run, look, timeout_s, watcher, tuple(areas), watcher.find_absent())
 
 
-def _wait_for_neighbours(look: Look, timeout_s: float) -> None:
+def _wait_for_neighbours(look: Attachment, timeout_s: float) -> None:
     """Waits up to ``timeout_s`` until all areas that others send to are on the bus, and all areas have shown states.
 
     Without a router, links open one after another.
@@ -88,7 +88,7 @@ class Operator:
 
     session: Session
     run: str
-    look: Look
+    look: Attachment
     timeout_s: float
     watcher: Watcher
     areas: tuple[str, ...]

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dsse_core.grid.measurement import Measurement, MeasurementKind
 from dsse_core.reading_rules import KindRule
 
-Held = tuple[dict[str, tuple[Measurement, ...]], dict[str, float]]
+TimedReadings = tuple[dict[str, tuple[Measurement, ...]], dict[str, float]]
 """Area -> its readings, and meter id -> the time of its reading, s."""
 
 
@@ -22,7 +22,7 @@ class HeldReadings:
         self._interval: dict[MeasurementKind, int] = {}  # kind -> number of the interval of its last readings
         self._held: dict[str, dict[str, tuple[Measurement, float]]] = {}
 
-    def take(self, by_area: Mapping[str, Sequence[Measurement]], now: float) -> Held:
+    def take(self, by_area: Mapping[str, Sequence[Measurement]], now: float) -> TimedReadings:
         """Readings at ``now``, s: new ones from ``by_area`` of the meters that are due, the last ones of the others.
 
         A meter that is due and has no reading in ``by_area`` keeps its last one. A meter without an interval has a

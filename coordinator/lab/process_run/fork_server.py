@@ -92,7 +92,7 @@ class Stop:
     """Order to stop all children and exit."""
 
 
-Order = Preload | Start | Signal | Bind | Stop
+Instruction = Preload | Start | Signal | Bind | Stop
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +175,7 @@ class ForkServer:
         if self._compiler:
             os.kill(self._compiler, operating_system.KILL)
 
-    def _obey(self, order: Order) -> None:
+    def _obey(self, order: Instruction) -> None:
         match order:
             case Preload(targets, arguments):
                 for target in targets:

@@ -25,7 +25,7 @@ from coordinator.lab.process_run.fork_server import (
     Bind,
     Compiling,
     Ended,
-    Order,
+    Instruction,
     Preload,
     Signal,
     Start,
@@ -148,7 +148,7 @@ class Launcher:
             operating_system.signal_group(self.pid, operating_system.KILL)
         self._fork_server.wait()
 
-    def _send(self, order: Order) -> None:
+    def _send(self, order: Instruction) -> None:
         try:
             self._orders.send(order)
         except OSError:

@@ -37,7 +37,7 @@ OUTER, INNER = (0, 100), (5, 95)  # percentiles between which the bands of the p
 
 
 @dataclass(frozen=True)
-class Course:
+class ScanSeries:
     """Quantities of the scans in ``tables`` of ``scenario``, in their order; nan where a scan has no estimate."""
 
     scenario: Scenario
@@ -84,13 +84,13 @@ class Course:
         return str(self.tables.scans.scan[row])
 
 
-def draw_scans(course: Course) -> tuple[Drawing, ...]:
+def draw_scans(course: ScanSeries) -> tuple[Drawing, ...]:
     """All figures, in the order of the report."""
     with styled():
         return tuple(draw(course) for draw in (_draw_voltages, _draw_bands, _draw_power, _draw_quality, _draw_removed))
 
 
-def _draw_voltages(course: Course) -> Drawing:
+def _draw_voltages(course: ScanSeries) -> Drawing:
     figure, (axis,) = new_figure(3.8)
     vm, limits = course.vm, course.scenario.operating_limits
     known = ~np.isnan(vm).all(axis=1)
@@ -105,7 +105,7 @@ def _draw_voltages(course: Course) -> Drawing:
     return Drawing("voltages", "Voltages over time", _describe_voltages(course), figure)
 
 
-def _describe_voltages(course: Course) -> str:
+def _describe_voltages(course: ScanSeries) -> str:
     vm, limits, bus = course.vm, course.scenario.operating_limits, course.network.node_names
     if np.isnan(vm).all():
         return "No scan has an estimate."
@@ -120,7 +120,7 @@ def _describe_voltages(course: Course) -> str:
     return " ".join(words)
 
 
-def _draw_bands(course: Course) -> Drawing:
+def _draw_bands(course: ScanSeries) -> Drawing:
     figure, (axis,) = new_figure(4.2)
     distance, x_label = find_distances(course.network)
     distance = distance[course.network.table.nodes.item]
@@ -151,7 +151,7 @@ def _draw_bands(course: Course) -> Drawing:
     return Drawing("profile", "Voltage profile of all scans", caption, figure)
 
 
-def _draw_power(course: Course) -> Drawing:
+def _draw_power(course: ScanSeries) -> Drawing:
     figure, (powers, losses) = new_figure(5.0, rows=2)
     for values, label, colour in zip(course.head, ("P (kW)", "Q (kvar)"), (BLUE, VERMILLION), strict=True):
         _draw_line(powers, course, values, label=label, color=colour)
@@ -167,7 +167,7 @@ def _draw_power(course: Course) -> Drawing:
     return Drawing("power", "Power over time", caption, figure)
 
 
-def _draw_quality(course: Course) -> Drawing:
+def _draw_quality(course: ScanSeries) -> Drawing:
     figure, (objective, removed) = new_figure(5.0, rows=2)
     scans = course.tables.scans
     _draw_line(objective, course, scans.objective, label="J, after the removal of bad data", color=BLUE)
@@ -191,7 +191,7 @@ def _draw_quality(course: Course) -> Drawing:
     return Drawing("quality", "Quality over time", caption, figure)
 
 
-def _draw_removed(course: Course) -> Drawing:
+def _draw_removed(course: ScanSeries) -> Drawing:
     most = course.removals.most_common(MOST_METERS)
     figure, (axis,) = new_figure(1.2 + 0.24 * max(len(most), 3))
     if most:
@@ -206,17 +206,17 @@ def _draw_removed(course: Course) -> Drawing:
     return Drawing("removed", "Meters removed most", caption, figure)
 
 
-def _places(course: Course) -> np.ndarray:
+def _places(course: ScanSeries) -> np.ndarray:
     """Place of each scan on the axis of time: its time, or its number where times are unknown."""
     return np.asarray(course.tables.scans.time) if course.has_times else np.arange(len(course.tables.scans))
 
 
-def _draw_line(axis: Axes, course: Course, values: np.ndarray, **style: Any) -> None:
+def _draw_line(axis: Axes, course: ScanSeries, values: np.ndarray, **style: Any) -> None:
     marker = "." if len(values) < 3 else None
     axis.plot(_places(course), values, linewidth=1.0, marker=marker, **style)
 
 
-def _finish(axis: Axes, course: Course, label: str) -> None:
+def _finish(axis: Axes, course: ScanSeries, label: str) -> None:
     """Labels both axes; scans without times have their names below the axis."""
     axis.set_ylabel(label)
     axis.grid(alpha=0.3)

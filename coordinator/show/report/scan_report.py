@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from coordinator.show.figures.run_figures import save_figures
-from coordinator.show.figures.scan_figures import Course, draw_scans
+from coordinator.show.figures.scan_figures import ScanSeries, draw_scans
 from coordinator.show.report.page import MAX_ROWS, Page, PageTable, write_page
 from coordinator.show.report.settings import find_origin
 from dsse_core.results.meters import REMOVED
@@ -27,12 +27,12 @@ def write_scan_report(
     Raises:
         OSError: a file cannot be written.
     """
-    page = make_scan_page(Course(scenario, tables), arguments)
+    page = make_scan_page(ScanSeries(scenario, tables), arguments)
     write_page(page, folder)
     save_figures(page.drawings, folder, formats)
 
 
-def make_scan_page(course: Course, arguments: Sequence[str]) -> Page:
+def make_scan_page(course: ScanSeries, arguments: Sequence[str]) -> Page:
     """The content of the report. ``arguments``: of the command ``dsse``."""
     scans, scenario, drawings = course.tables.scans, course.scenario, draw_scans(course)
     failed = [k for k, status in enumerate(scans.status) if status == "failed"]
@@ -50,7 +50,7 @@ def make_scan_page(course: Course, arguments: Sequence[str]) -> Page:
     )
 
 
-def _list_removed(course: Course) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
+def _list_removed(course: ScanSeries) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
     """Header and rows: each removed meter, with the scans of its removals."""
     meters = course.tables.meters
     rows_of: dict[str, list[int]] = {}
@@ -66,7 +66,7 @@ def _list_removed(course: Course) -> tuple[Sequence[str], Sequence[Sequence[str]
     return ("meter", "scans", "share (%)", "largest normalised residual", "first scan", "last scan"), rows
 
 
-def _list_tables(course: Course) -> Iterator[PageTable]:
+def _list_tables(course: ScanSeries) -> Iterator[PageTable]:
     buses, branches, scans = course.tables.buses, course.tables.branches, course.tables.scans
     nodes = course.network.node_names
     yield _sum_up("Voltages of the buses (p.u.)", "bus", nodes, course.by_scan(buses, "vm_pu"), ".5f", course)
@@ -90,7 +90,7 @@ def _list_tables(course: Course) -> Iterator[PageTable]:
     yield PageTable(f"Scans ({len(scans)})", header, rows, "All of them: scans.csv.", max(0, len(scans) - MAX_ROWS))
 
 
-def _sum_up(title: str, what: str, names: Sequence[str], values: np.ndarray, form: str, course: Course) -> PageTable:
+def _sum_up(title: str, what: str, names: Sequence[str], values: np.ndarray, form: str, of: ScanSeries) -> PageTable:
     """Extremes with their scans and mean of each column of ``values`` (n_scan, n); ``names``: of the columns."""
     rows = []
     for k, name in enumerate(names[:MAX_ROWS]):
@@ -99,7 +99,7 @@ def _sum_up(title: str, what: str, names: Sequence[str], values: np.ndarray, for
             continue
         low, high = int(np.nanargmin(column)), int(np.nanargmax(column))
         numbers = [_write(value, form) for value in (column[low], np.nanmean(column), column[high])]
-        rows.append((name, numbers[0], course.name_of(low), numbers[1], numbers[2], course.name_of(high)))
+        rows.append((name, numbers[0], of.name_of(low), numbers[1], numbers[2], of.name_of(high)))
     header = (what, "lowest", "in scan", "mean", "highest", "in scan")
     return PageTable(title, header, rows, left_out=max(0, len(names) - MAX_ROWS))
 

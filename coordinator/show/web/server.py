@@ -25,7 +25,7 @@ MADE_TOKEN = 24  # bytes
 
 
 @dataclass(frozen=True)
-class Place:
+class PageAddress:
     """The address of a page: ``host`` and ``port`` (0: a free one), certificate and key in PEM, and a token.
 
     ``names``: further ones under which browsers ask for it, on loopback by a proxy.
@@ -61,7 +61,7 @@ class Place:
 
 def choose_place(
     listen: str, certificate: Path | None, key: Path | None, token_file: Path | None, names: tuple[str, ...]
-) -> Place:
+) -> PageAddress:
     """The place that the options describe.
 
     Raises:
@@ -85,7 +85,7 @@ def choose_place(
         if len(token) < LEAST_TOKEN:
             problems.append(f"--token-file {token_file}: {len(token)} characters; {LEAST_TOKEN} at least")
     needs_token = token_file is not None or not is_loopback(host)
-    place = Place(host, port, certificate, key, token if needs_token else None, names)
+    place = PageAddress(host, port, certificate, key, token if needs_token else None, names)
     if not place.is_loopback:
         needed = {"--tls-cert and --tls-key": certificate, "--name": names or None}
         problems += [f"beyond loopback {name} is needed" for name, given in needed.items() if given is None]
@@ -96,7 +96,7 @@ def choose_place(
     return place
 
 
-def serve(source: Source, place: Place, names: tuple[str, ...], on_ready: Callable[[str], object]) -> None:
+def serve(source: Source, place: PageAddress, names: tuple[str, ...], on_ready: Callable[[str], object]) -> None:
     """Serves ``source`` until SIGINT or SIGTERM. ``names``: further host names accepted in requests.
 
     ``on_ready``: called with the URL when the address is open.

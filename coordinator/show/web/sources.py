@@ -18,7 +18,7 @@ UPDATE_S = 0.25  # least time between two moments
 BUSY_SHARE = 5  # the pause between two moments is at least this multiple of the time for making a moment
 MOST_RATE = 2_000_000  # bytes a second to one reader
 
-Look = Callable[[float], Watcher]
+WatcherAt = Callable[[float], Watcher]
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class LiveSource:
     remarks = ()
     is_complete = True
 
-    def __init__(self, look: Look, known: GridTables | None, run: str) -> None:
+    def __init__(self, look: WatcherAt, known: GridTables | None, run: str) -> None:
         self._look, self._known, self._run = look, known, run
         self._moments = Moments(known, Onsets())
         self._lock = threading.Lock()  # of the history

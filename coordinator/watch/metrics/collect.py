@@ -20,7 +20,7 @@ LOOKED_LATELY_S = 10.0  # an older sight means that the loop of the watching pro
 
 
 @dataclass(frozen=True)
-class Sight:
+class Observation:
     """A watcher's knowledge at time ``at``, s. ``view``: None before the watcher has reached the bus, and ``watcher``:
     as it was then. ``trouble``: the reason that it is not on the bus now, empty if it is."""
 
@@ -111,7 +111,7 @@ class RunCollector:
 
     def __init__(self, known: GridTables | None = None) -> None:
         self.known = known
-        self.sight = Sight(float("-inf"))
+        self.sight = Observation(float("-inf"))
 
     def collect(self) -> Iterator[Metric]:
         """All metrics of the newest sight."""

@@ -17,7 +17,7 @@ from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 
 from coordinator.watch.http_front import LONGEST_REQUEST, PATIENCE_S, REQUEST_S, Front, make_room, open_listener
 from coordinator.watch.listen import name_address
-from coordinator.watch.metrics.collect import RunCollector, Sight, format_health
+from coordinator.watch.metrics.collect import Observation, RunCollector, format_health
 from coordinator.watch.observe.grid_tables import GridTables
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import InvalidInputError
@@ -42,7 +42,7 @@ class MetricsPage:
         self._registry = CollectorRegistry()
         self._registry.register(self._collector)
         ProcessCollector(registry=self._registry)
-        self._written: tuple[Sight, bytes] | None = None
+        self._written: tuple[Observation, bytes] | None = None
         try:
             self._listener = open_listener(host, port)
         except OSError as error:
@@ -57,11 +57,11 @@ class MetricsPage:
 
     def show(self, watcher: Watcher, now: float, trouble: str) -> None:
         """Answer from now on with the view of ``watcher`` at ``now``; ``trouble``: why there is no link, else empty."""
-        self._collector.sight = Sight(now, watcher.look(now), watcher.copy(), trouble)
+        self._collector.sight = Observation(now, watcher.look(now), watcher.copy(), trouble)
 
     def show_trouble(self, now: float, trouble: str) -> None:
         """Answer from now on with ``trouble`` alone, found at ``now``."""
-        self._collector.sight = Sight(now, trouble=trouble)
+        self._collector.sight = Observation(now, trouble=trouble)
 
     def __enter__(self) -> Self:
         self._thread.start()

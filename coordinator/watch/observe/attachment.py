@@ -55,8 +55,8 @@ class _Shown:
     payload: bytes
 
 
-class Look:
-    """Look at a run through ``session``; a call takes in the messages that have arrived, and returns the watcher.
+class Attachment:
+    """Attachment to a run through ``session``; a call takes in the messages that have arrived, and returns the watcher.
 
     ``asked_at``: time of the last question for the presence of a process, s, monotonic.
     """
@@ -154,13 +154,13 @@ def join_run(address: RunAddress, name: str = "") -> Iterator[tuple[Session, str
 
 
 @contextmanager
-def attach(address: RunAddress, name: str = "", areas: frozenset[str] | None = None) -> Iterator[Look]:
+def attach(address: RunAddress, name: str = "", areas: frozenset[str] | None = None) -> Iterator[Attachment]:
     """Watch a run. ``areas``: names of its areas, if known; no other name is an area then.
 
     The other arguments and the errors are those of ``join_run``.
     """
     with join_run(address, name) as (session, run):
-        look = Look(Watcher(run, areas), Updates(), session)
+        look = Attachment(Watcher(run, areas), Updates(), session)
         look.listen()
         yield look
 
@@ -171,7 +171,7 @@ def find_own_name(keys: Path) -> str:
     return COORDINATOR if has[COORDINATOR] and not has[WATCHER] else WATCHER
 
 
-def wait_until_whole(look: Look, timeout_s: float, *, with_readings: bool = False) -> Watcher:
+def wait_until_whole(look: Attachment, timeout_s: float, *, with_readings: bool = False) -> Watcher:
     """Wait until every present area has been received, ``with_readings`` its readings as well, or until time is up.
 
     Areas repeat their readings at longer intervals than their states; LONGEST_WAIT_S is the least time limit then.
@@ -183,7 +183,7 @@ def wait_until_whole(look: Look, timeout_s: float, *, with_readings: bool = Fals
             return watcher
 
 
-def _is_whole(look: Look, watcher: Watcher, with_readings: bool) -> bool:
+def _is_whole(look: Attachment, watcher: Watcher, with_readings: bool) -> bool:
     """True where all areas have been received, and SETTLE_S has passed since the last question for a process.
 
     Where an area is absent OVER_S must pass, as the areas beyond it take longer to be found."""
@@ -192,7 +192,7 @@ def _is_whole(look: Look, watcher: Watcher, with_readings: bool) -> bool:
     return has_all and time.monotonic() >= settled_at
 
 
-def wait_for_state(look: Look, area: str, timeout_s: float) -> Watcher:
+def wait_for_state(look: Attachment, area: str, timeout_s: float) -> Watcher:
     """Wait until ``area`` has published an estimate, or until time is up."""
     deadline = time.monotonic() + timeout_s
     while not ((state := (watcher := look(STEP_S)).state_of(area)) and state.buses) and time.monotonic() < deadline:

@@ -11,7 +11,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from coordinator.watch.interrupts import Held
+from coordinator.watch.interrupts import Uninterrupted
 from coordinator.watch.observe.progress import Progress
 from dsse_core.printable import printable, shortened
 
@@ -25,7 +25,7 @@ def live_table(title: str) -> Iterator[Callable[[Progress], None]]:
     with Live(console=console, auto_refresh=False, transient=True) as live:
 
         def update(progress: Progress) -> None:
-            with Held():  # an interrupted drawing stays on the screen, and the next one begins in its last line
+            with Uninterrupted():  # a drawing cut short stays on the screen, and the next one begins in its last line
                 live.update(build_table(title, progress), refresh=True)
 
         yield update

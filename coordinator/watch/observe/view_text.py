@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.text import Text
 
 from agents.protocol.quality import DEGRADED, GOOD, QUALITIES, RELATIVE_ANGLE
-from coordinator.watch.interrupts import Held
+from coordinator.watch.interrupts import Uninterrupted
 from coordinator.watch.observe.causes import ALARM, Cause, write_lines
 from coordinator.watch.observe.summary import Extent, Power, Summary
 from coordinator.watch.observe.table_text import write_table
@@ -56,7 +56,7 @@ def live_view() -> Iterator[Callable[[View, Iterable[Table], Sequence[Cause], Su
         def update(view: View, tables: Iterable[Table], causes: Sequence[Cause], summary: Summary | None) -> None:
             width, height = min(console.width, WIDEST), console.height - 1  # the cursor stands in the last line
             lines = fit_view(view, list(tables), width, height, causes, summary)
-            with Held():  # an interrupted drawing stays on the screen, and the next one begins in its last line
+            with Uninterrupted():  # a drawing cut short stays on the screen, and the next one begins in its last line
                 live.update(Text("\n").join(Text(line, style=style) for line, style in lines), refresh=True)
 
         yield update

@@ -16,7 +16,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from agents.messages.packing import StateMessage
-from coordinator.watch.observe.attachment import Look, attach
+from coordinator.watch.observe.attachment import Attachment, attach
 from coordinator.watch.observe.run_address import RunAddress
 from coordinator.watch.observe.watcher import AreaView
 from coordinator.watch.recording.parquet import read_rows
@@ -33,7 +33,7 @@ class Monitors:
     """A watcher on the bus, and the page of the metrics."""
 
     feeder: FeederUnderWay
-    look: Look
+    look: Attachment
 
     def wait_until(self, what: str, holds: Callable[[], bool], deadline_s: float = 2 * DEADLINE_S) -> None:
         """Until ``holds()``, for which new states arrive meanwhile."""

@@ -167,7 +167,7 @@ def test_code_is_compiled_anew_when_a_source_in_any_room_changes(tmp_path, monke
 
 @pytest.fixture
 def kept_in(place: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    found = (code_places.Place(place, None),)
+    found = (code_places.CodeFolder(place, None),)
     for module in (code_places, code_cache):
         monkeypatch.setattr(module, "find_places", lambda: found)
         monkeypatch.setattr(module, "find_folder_to_keep_in", lambda: place)

@@ -19,8 +19,8 @@ MOST_LOOKS = 1000  # views of a play for its events and its past, beside those a
 MOST_EVENTS = 50_000  # of a play
 
 
-class Course:
-    """The course of ``play``. ``areas``: their names, if they are known."""
+class WatchedPlay:
+    """``play`` as a watcher would have seen it at each time. ``areas``: their names, if they are known."""
 
     def __init__(self, play: Play, areas: frozenset[str] | None) -> None:
         self._play, self._areas = play, areas

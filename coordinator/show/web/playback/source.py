@@ -13,7 +13,7 @@ from typing import Any
 from agents.messages.packing import ReadingsMessage, StateMessage
 from coordinator.show.web.drawing import Drawing, draw_scenario, draw_states, encode_drawing
 from coordinator.show.web.moment import MOST_EVENTS, Moments, encode_json
-from coordinator.show.web.playback.course import Course
+from coordinator.show.web.playback.course import WatchedPlay
 from coordinator.show.web.playback.play import Play, Sent
 from coordinator.show.web.sources import Frame
 from coordinator.watch.observe.grid_tables import GridTables, Tables, find_tables
@@ -29,7 +29,7 @@ PATIENCE_S = 1.0  # wait of a request for a past that is not complete yet
 class PastOfPlay:
     """The past of the play of ``course``. A thread goes through it, because tables of thousands of buses are slow."""
 
-    def __init__(self, course: Course, scenario: Scenario | None) -> None:
+    def __init__(self, course: WatchedPlay, scenario: Scenario | None) -> None:
         self._course = course
         self._moments = Moments(GridTables(scenario) if scenario else None)
         self._lock = threading.Lock()
@@ -94,7 +94,8 @@ class PlaybackSource:
         self.remarks = (*remarks, *(() if is_whole else ("the run is long: its first part is played",)))
         self._sent_at = [sent.at for sent in play.messages]
         self._longest_way_s = max((s.arrived - s.at for s in play.messages if s.arrived is not None), default=0.0)
-        self._course = Course(play, frozenset(area.name for area in scenario.partition.areas) if scenario else None)
+        names = frozenset(area.name for area in scenario.partition.areas) if scenario else None
+        self._course = WatchedPlay(play, names)
         events = self._course.find_events()
         self._events, self._scan_s = list(events.kept), events.scan_s
         self._past = PastOfPlay(self._course, scenario)

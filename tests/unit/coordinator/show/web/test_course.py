@@ -14,7 +14,7 @@ from coordinator.lab.simulator.simulate import Simulation
 from coordinator.show.web.playback import course as course_of_play
 from coordinator.show.web.playback import play as plays
 from coordinator.show.web.playback import source as sources
-from coordinator.show.web.playback.course import Course
+from coordinator.show.web.playback.course import WatchedPlay
 from coordinator.show.web.playback.play import IN_SIMULATION, Play, Sent
 from coordinator.show.web.playback.source import PlaybackSource
 from coordinator.watch.observe.watcher import Watcher
@@ -59,7 +59,7 @@ def taken(monkeypatch: pytest.MonkeyPatch) -> list[StateMessage]:
 def test_each_moment_is_that_of_who_was_there_from_the_beginning(scenario: str, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(course_of_play, "STEP", 3)
     play = play_of(scenario)
-    course, witness, k = Course(play, None), Watcher(play.run), 0
+    course, witness, k = WatchedPlay(play, None), Watcher(play.run), 0
     times = sorted({at for at, _ in play.updates})
     for at in times:
         while k < len(play.updates) and play.updates[k][0] <= at:
@@ -79,14 +79,14 @@ def test_moving_the_slider_does_not_go_from_the_beginning(taken: list[StateMessa
 
 
 def test_watchers_that_are_kept_do_not_change_as_others_go_on():
-    course = Course(long_play(200), None)
+    course = WatchedPlay(long_play(200), None)
     before = course.watcher_at(70.0).look(70.0)
     course.watcher_at(127.0).take_presence(TOKEN, True)
     assert course.watcher_at(70.0).look(70.0) == before
 
 
 def test_a_play_of_very_many_moments_is_looked_at_a_thousand_times_and_nobody_comes_or_goes_unseen():
-    course = Course(long_play(5000), None)
+    course = WatchedPlay(long_play(5000), None)
     assert len(list(course.walk())) <= course_of_play.MOST_LOOKS + 3
     events = [(event["area"], event["kind"]) for event in course.find_events().kept]
     assert events.count(("area2", "appeared")) == 1

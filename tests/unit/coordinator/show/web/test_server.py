@@ -22,7 +22,7 @@ from agents.security.access import Access
 from coordinator.lab.deployment.certificates import create_keys
 from coordinator.show.web import app, readers, server
 from coordinator.show.web.moment import Moments
-from coordinator.show.web.server import Place, choose_place
+from coordinator.show.web.server import PageAddress, choose_place
 from coordinator.watch import http_front
 from coordinator.watch.http_front import Front
 from coordinator.watch.observe.watcher import Watcher
@@ -149,7 +149,7 @@ def test_a_token_is_made_once_and_stands_in_the_whole_address(tmp_path: Path):
     keys = tmp_path / "keys"
     create_keys(keys, Access("run", {"area1": ()}), days=1)
 
-    def place(token_file: Path | None, listen: str = "0.0.0.0:0") -> Place:
+    def place(token_file: Path | None, listen: str = "0.0.0.0:0") -> PageAddress:
         return choose_place(listen, keys / "router.crt", keys / "router.key", token_file, ("feeder.example",))
 
     first, second = (re.fullmatch(INVITED, place(None).invite("https://0.0.0.0:8443/")) for _ in range(2))
@@ -242,7 +242,7 @@ def test_a_bad_token_is_named(tmp_path: Path, content: bytes, why: str):
 
 
 @pytest.fixture
-def guarded(tmp_path: Path) -> tuple[Place, ssl.SSLContext]:
+def guarded(tmp_path: Path) -> tuple[PageAddress, ssl.SSLContext]:
     """A place with TLS and the token ``TOKEN``, and what a browser trusts."""
     keys = tmp_path / "keys"
     create_keys(keys, Access("run", {"area1": ()}), days=1)
@@ -251,7 +251,7 @@ def guarded(tmp_path: Path) -> tuple[Place, ssl.SSLContext]:
     return place, ssl.create_default_context(cafile=str(keys / "authority.crt"))
 
 
-def test_with_a_certificate_and_a_token_the_page_is_served_to_who_shows_it(guarded: tuple[Place, ssl.SSLContext]):
+def test_with_a_certificate_and_a_token_the_page_is_served_to_who_shows_it(guarded: tuple[PageAddress, ssl.SSLContext]):
     place, trusted = guarded
     with serving(played(), place) as url, httpx.Client(base_url=url, verify=trusted, timeout=60) as browser:
         assert url.startswith("https://")
@@ -261,7 +261,7 @@ def test_with_a_certificate_and_a_token_the_page_is_served_to_who_shows_it(guard
 
 
 def test_a_tls_handshake_that_never_begins_does_not_hold_its_connection(
-    guarded: tuple[Place, ssl.SSLContext], monkeypatch: pytest.MonkeyPatch
+    guarded: tuple[PageAddress, ssl.SSLContext], monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(readers, "HANDSHAKE_S", 0.3)
     place, trusted = guarded
@@ -274,7 +274,7 @@ def test_a_tls_handshake_that_never_begins_does_not_hold_its_connection(
 
 
 def test_more_tls_handshakes_that_never_begin_than_there_is_room_for_keep_nobody_out(
-    guarded: tuple[Place, ssl.SSLContext], monkeypatch: pytest.MonkeyPatch
+    guarded: tuple[PageAddress, ssl.SSLContext], monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(http_front, "MOST_READERS", 10)
     monkeypatch.setattr(readers, "HANDSHAKE_S", 600.0)
@@ -290,7 +290,7 @@ def test_a_place_that_is_taken_is_one_error_that_names_it():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        place = Place("127.0.0.1", taken.getsockname()[1])
+        place = PageAddress("127.0.0.1", taken.getsockname()[1])
         with pytest.raises(InvalidInputError, match=rf":{place.port}: 1 problem\n  - Address already in use"):
             server.serve(played(), place, (), lambda url: None)
 

@@ -282,7 +282,7 @@ def test_an_area_that_has_just_said_something_is_not_gone_before_the_bus_has_sai
 
 def test_a_flood_does_not_make_a_watcher_look_more_often():
     bus, updates = Bus(), Updates()
-    look = session.Look(Watcher("run"), updates, bus)  # type: ignore[arg-type]
+    look = session.Attachment(Watcher("run"), updates, bus)  # type: ignore[arg-type]
     with repeating(lambda: updates.offer((live_key("run", "area", "a1", ME), True)), 0.0):
         began = time.monotonic()
         for _ in range(2):

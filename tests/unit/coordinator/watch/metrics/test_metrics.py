@@ -21,7 +21,7 @@ from coordinator.watch import http_front
 from coordinator.watch.http_front import Front
 from coordinator.watch.listen import parse_listen
 from coordinator.watch.metrics import metrics_page as page_module
-from coordinator.watch.metrics.collect import LOOKED_LATELY_S, RunCollector, Sight
+from coordinator.watch.metrics.collect import LOOKED_LATELY_S, Observation, RunCollector
 from coordinator.watch.metrics.metrics_page import MetricsPage
 from coordinator.watch.observe.grid_tables import GridTables
 from coordinator.watch.observe.watcher import Watcher
@@ -136,7 +136,7 @@ def test_with_a_scenario_powers_and_loadings_are_there_beside_its_limits():
         watcher.take_presence(f"dsse/v3/run/live/area/{name}/1-00000001", True)
         watcher.take_state(replace(state, header=replace(state.header, sender=name)), 0.0)
     collector = RunCollector(GridTables(scenario))
-    collector.sight = Sight(0.0, watcher.look(0.0), watcher, "")
+    collector.sight = Observation(0.0, watcher.look(0.0), watcher, "")
     found = {(s.name, *s.labels.values()): s.value for metric in collector.collect() for s in metric.samples}
     assert found["dsse_grid_power_kw", "loss"] == pytest.approx(1000 * flow.losses.real * scenario.network.base_mva)
     assert found["dsse_grid_outside_limits", "voltage_pu"] == (flow.vm < 0.92).sum() > 0
@@ -148,7 +148,7 @@ def test_all_ages_grow_while_an_area_is_silent():
     ages_s = {"telemetry_age": 2.0, "ages": {"area2": 3.0}, "oldest_reading": 61.0}
     watcher.take_state(a_state(**ages_s, clock_skews={"area2": 3.1}), 0.0)
     collector = RunCollector()
-    collector.sight = Sight(5.0, watcher.look(5.0), watcher, "")
+    collector.sight = Observation(5.0, watcher.look(5.0), watcher, "")
     found = {sample.name: sample.value for metric in collector.collect() for sample in metric.samples}
     ages = {"state_age": 5.0, "telemetry_age": 7.0, "neighbour_age": 8.0, "oldest_reading": 66.0}
     assert {name: found[f"dsse_area_{name}_seconds"] for name in ages} == ages

@@ -53,7 +53,7 @@ def test_the_table_of_a_run_is_not_left_in_part_on_the_screen(drawn: list[str]) 
 
 
 def test_a_terminal_that_takes_nothing_is_left_at_the_second_ctrl_c() -> None:
-    with pytest.raises(KeyboardInterrupt), interrupts.Held():  # noqa: PT012
+    with pytest.raises(KeyboardInterrupt), interrupts.Uninterrupted():  # noqa: PT012
         os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGINT)
         pytest.fail("the second one has not been raised")
