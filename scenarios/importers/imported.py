@@ -9,15 +9,20 @@ from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Any, Literal
 
+import numpy as np
+
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.installation import install_command
 from dsse_core.grid.admittance import build_admittance
+from dsse_core.grid.loads import Load
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Branch, Bus, Control, Network
 from dsse_core.grid.physical_ranges import RATING
 from dsse_core.limits import LARGEST_SIGMA
 from dsse_core.printable import listed
+from scenarios.files.network_phases import find_nominal_across
 
+ROUNDING = 1e-13  # share of the largest admittance of an element, below which a sum of some is 0
 NO_INFORMATION = f"with a standard deviation above {LARGEST_SIGMA:g} p.u., infinite ones included, which says nothing"
 
 
@@ -129,6 +134,32 @@ def add_shunts(bus: Bus, shunts: Iterable[complex]) -> Bus:
     """``bus`` with admittances added to its shunt."""
     total = sum(shunts, complex(0.0))
     return replace(bus, g_shunt=bus.g_shunt + total.real, b_shunt=bus.b_shunt + total.imag)
+
+
+def find_places(network: Network, head: int, regulators: Sequence[Branch] = ()) -> Places:
+    """Meters at the head, at ``regulators``, and at some ends of a feeder with phases."""
+    there = {bus.id for bus in network.buses}
+    slack = network.slack
+    assert slack is not None
+    first = head if head in there else slack.bus
+    flows = [branch.id for branch in network.branches_at[slack.bus]] + [branch.id for branch in regulators]
+    ends = [
+        bus for bus, branches in network.branches_at.items() if len(branches) == 1 and bus not in (first, slack.bus)
+    ]
+    some = ends[:: max(1, len(ends) // max(2, len(network.buses) // 50))]
+    buses = dict.fromkeys([first, *(branch.to_bus for branch in regulators), *some])
+    return Places(tuple(buses), tuple(dict.fromkeys(flows)))
+
+
+def list_shunt_legs(bus: int, phases: Sequence[str], y: np.ndarray) -> Iterator[Load]:
+    """Legs of constant impedance that the shunt ``y`` between ``phases`` of a bus is, p.u."""
+    small, to_ground, n = ROUNDING * abs(y).max(initial=0.0), y.sum(axis=1), len(y)
+    ends = [(phases[k], "", to_ground[k]) for k in range(n)]
+    ends += [(phases[k], phases[m], -y[k, m]) for k in range(n) for m in range(k + 1, n)]
+    for one, other, of_leg in ends:
+        if abs(of_leg) > small:
+            s = complex(of_leg).conjugate() * find_nominal_across(one + other) ** 2
+            yield Load(bus, one + other, s, (2.0, 2.0))
 
 
 def leave_out_islands(network: Network) -> tuple[Network, list[Remark]]:

@@ -28,7 +28,16 @@ from dsse_core.results.units import base_current
 from scenarios.files.network_columns import default_branch_id
 from scenarios.files.network_phases import find_nominal_across
 from scenarios.importers.fused_branches import fuse_zero_impedances
-from scenarios.importers.imported import Imported, Places, Remark, leave_out_islands, load_extra, rating
+from scenarios.importers.imported import (
+    ROUNDING,
+    Imported,
+    Remark,
+    find_places,
+    leave_out_islands,
+    list_shunt_legs,
+    load_extra,
+    rating,
+)
 from scenarios.importers.opendss.profiles import write_profiles
 from scenarios.importers.opendss.script import Script, read_script
 
@@ -36,7 +45,6 @@ LONGEST_S = 120.0  # of OpenDSS on one circuit; 8,531 nodes take 2 s
 ALIKE = 1e-6  # share of a load's current within which it is that of OpenDSS; and of a matrix, of its transpose
 NO_CURRENT = 1e-10  # p.u., round-off of a load of nothing
 NO_SHUNT = 1e-6  # p.u., below which what an element draws that is open at one end is left out
-ROUNDING = 1e-13  # share of the largest admittance of an element, below which a sum of some is 0
 NO_RATING_A = 400.0  # of lines that state none, OpenDSS's default
 UNITS = ", "  # between the names of units that are one branch
 LARGEST_NUMBER = 10**9  # of a bus, taken from its name
@@ -170,6 +178,8 @@ class Circuit:
         named = Counter(name.partition(".")[0] for name in (*(e["name"] for e in self.elements), *dict.fromkeys(names)))
         converted = {"buses": len(network.buses), "nodes": network.n_nodes}
         converted |= {f"{kind}s": named[kind] for kind in CONVERTED}
+        regulating = {f"transformer.{name}" for name, _ in self.answer["regulated"]}
+        regulators = [b for b in network.active_branches if not regulating.isdisjoint(b.name.split(UNITS))]
         loads = list(zip(names, network.loads, strict=False))  # further legs are shunts of fused buses
         return Imported(
             network,
@@ -177,7 +187,7 @@ class Circuit:
             converted,
             tuple(self.remarks),
             substation=head,
-            places=_find_places(network, head, {name for name, _ in self.answer["regulated"]}),
+            places=find_places(network, head, regulators),
             files=write_profiles(self.answer["shapes"], self.answer["loads"], loads),
         )
 
@@ -367,18 +377,11 @@ class Circuit:
 
     def _add_shunt(self, name: str, bus: str, phases: Sequence[str], Y: np.ndarray, shunts: dict[str, complex]) -> None:
         """A shunt of the bus where it is alike at each phase, else legs of constant impedance."""
-        small = ROUNDING * abs(Y).max(initial=0.0)
-        to_ground, n = Y.sum(axis=1), len(Y)
-        is_alike = abs(Y - np.eye(n) * Y[0, 0]).max(initial=0.0) <= small
+        is_alike = abs(Y - np.eye(len(Y)) * Y[0, 0]).max(initial=0.0) <= ROUNDING * abs(Y).max(initial=0.0)
         if is_alike and "".join(phases) == self.phases[bus]:
             shunts[bus] = shunts.get(bus, 0j) + complex(Y[0, 0])
             return
-        ends = [(phases[k], "", to_ground[k]) for k in range(n)]
-        ends += [(phases[k], phases[m], -Y[k, m]) for k in range(n) for m in range(k + 1, n)]
-        for one, other, y in ends:
-            if abs(y) > small:
-                s = complex(y).conjugate() * find_nominal_across(one + other) ** 2
-                self.legs.append((name, Load(self.number[bus], one + other, s, (2.0, 2.0))))
+        self.legs += [(name, leg) for leg in list_shunt_legs(self.number[bus], phases, Y)]
 
     def _list_legs(self, element: Mapping[str, Any]) -> list[str]:
         """The phases of each leg of a load or source; empty where one is no phase."""
@@ -589,20 +592,3 @@ def _number_buses(names: Sequence[str]) -> Iterator[tuple[str, int]]:
         next_free[first] = number
         taken.add(number)
         yield name, number
-
-
-def _find_places(network: Network, head: int, regulating: set[str]) -> Places:
-    """Meters at the head, at regulators, and at some ends of the feeder."""
-    there = {bus.id for bus in network.buses}
-    slack = network.slack
-    assert slack is not None
-    names = {f"transformer.{name}" for name in regulating}
-    regulators = [branch for branch in network.active_branches if not names.isdisjoint(branch.name.split(UNITS))]
-    first = head if head in there else slack.bus
-    flows = [branch.id for branch in network.branches_at[slack.bus]] + [branch.id for branch in regulators]
-    ends = [
-        bus for bus, branches in network.branches_at.items() if len(branches) == 1 and bus not in (first, slack.bus)
-    ]
-    some = ends[:: max(1, len(ends) // max(2, len(network.buses) // 50))]
-    buses = dict.fromkeys([first, *(branch.to_bus for branch in regulators), *some])
-    return Places(tuple(buses), tuple(dict.fromkeys(flows)))

@@ -47,15 +47,7 @@ def build_transformer(t: Any, from_kv: float, to_kv: float, _frequency_hz: float
     """Name-plate values as a pi model at the to side: ``|z| = uk u2^2 / sn``, ``r = pk u2^2 / sn^2``,
     ``|y| = i0 sn / u2^2``, ``g = p0 / u2^2``; the tap changes the rated voltage of its side.
     """
-    u1, u2, sn = float(t["u1"]), float(t["u2"]), float(t["sn"])
-    nominal = int(t["tap_nom"]) if int(t["tap_nom"]) != UNSET_INT8 else 0
-    position = int(t["tap_pos"]) if int(t["tap_pos"]) != UNSET_INT8 else nominal
-    rising = 1 if int(t["tap_max"]) > int(t["tap_min"]) else -1
-    change = rising * (position - nominal) * float(t["tap_size"])
-    if int(t["tap_side"]) == 0:
-        u1 += change
-    else:
-        u2 += change
+    (u1, u2), sn, (nominal, position) = find_rated_voltages(t), float(t["sn"]), _find_tap(t)
     z_base = u2**2 / sn
     z = _at_tap(t, "uk", position, nominal) * z_base
     r = _at_tap(t, "pk", position, nominal) / sn * z_base
@@ -70,6 +62,20 @@ def build_transformer(t: Any, from_kv: float, to_kv: float, _frequency_hz: float
         tap=(u1 / u2) / (from_kv / to_kv),
         shift=math.radians(30.0 * int(t["clock"])),
     )
+
+
+def find_rated_voltages(t: Any) -> tuple[float, float]:
+    """Rated voltages of both sides at the tap, V."""
+    u1, u2, (nominal, position) = float(t["u1"]), float(t["u2"]), _find_tap(t)
+    rising = 1 if int(t["tap_max"]) > int(t["tap_min"]) else -1
+    change = rising * (position - nominal) * float(t["tap_size"])
+    return (u1 + change, u2) if int(t["tap_side"]) == 0 else (u1, u2 + change)
+
+
+def _find_tap(t: Any) -> tuple[int, int]:
+    """Nominal and present position."""
+    nominal = int(t["tap_nom"]) if int(t["tap_nom"]) != UNSET_INT8 else 0
+    return nominal, int(t["tap_pos"]) if int(t["tap_pos"]) != UNSET_INT8 else nominal
 
 
 def _at_tap(t: Any, key: str, position: int, nominal: int) -> float:

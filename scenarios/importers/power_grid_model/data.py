@@ -7,6 +7,8 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.wording import Suggestions
 from dsse_core.printable import listed, on_one_line, shortened
@@ -17,9 +19,16 @@ DESCRIPTION = "extra"
 """Key of a component under which power-grid-model-io puts its name in the source; nothing electric."""
 TOP = ("version", "type", "is_batch", "attributes", "data")
 LONGEST_SHOWN = 80  # characters of a name
-APPLIANCES = {"sym_load": -1, "sym_gen": 1}
+APPLIANCES = {"sym_load": -1, "sym_gen": 1, "asym_load": -1, "asym_gen": 1}
 """Component -> sign of its power as an injection."""
-SENSORS = ("sym_voltage_sensor", "sym_power_sensor", "sym_current_sensor")
+SYMMETRIC_SENSORS = ("sym_voltage_sensor", "sym_power_sensor", "sym_current_sensor")
+SENSORS = (*SYMMETRIC_SENSORS, "asym_voltage_sensor", "asym_power_sensor")
+ASYMMETRIC = ("asym_load", "asym_gen", "asym_voltage_sensor", "asym_power_sensor")
+"""Components of which one alone makes the calculation one of three phases."""
+NOT_BY_PHASE = {
+    "generic_branch": "power-grid-model has none in asymmetric calculations; replace it",
+    **dict.fromkeys(SYMMETRIC_SENSORS, "a sensor of all phases beside asymmetric components; give an asymmetric one"),
+}
 IGNORED = {"fault": "for short circuits only", "transformer_tap_regulator": "taps stay where they are"}
 SUPPORTED = {*BUILDERS, *APPLIANCES, *SENSORS, *IGNORED, "node", "link", "source", "shunt"}
 NAME_PLATE = ("uk", "uk_min", "uk_max", "i0")
@@ -95,13 +104,17 @@ def load_data(what: str, tree: Any) -> tuple[Data, list[Remark]]:
         for name, table in data.items()
         if name not in SUPPORTED
     ]
+    if is_asymmetric(data):
+        foreign += [f"{name} {ids(data[name])}: {reason}" for name, reason in NOT_BY_PHASE.items() if name in data]
     if foreign:
         raise InvalidInputError(what, foreign)
     purpose = enum.CalculationType.state_estimation if has_sensors(data) else enum.CalculationType.power_flow
     table = enum.ComponentType.asym_voltage_sensor  # the validator asks for it where a current has a global angle
     whole = {table: enum.initialize_array("input", table, 0)} | loaded
     try:
-        errors = validation.validate_input_data(whole, calculation_type=purpose, symmetric=True) or []
+        errors = (
+            validation.validate_input_data(whole, calculation_type=purpose, symmetric=not is_asymmetric(data)) or []
+        )
     except Exception as error:  # whatever a foreign validator raises
         problem = f"power-grid-model cannot check it ({type(error).__name__}: {on_one_line(error)})"
         raise InvalidInputError(what, [problem]) from None
@@ -125,6 +138,19 @@ def rows(data: Data, name: str) -> Any:
 
 def ids(components: Iterable[Any]) -> str:
     return listed([int(component["id"]) for component in components])
+
+
+def is_asymmetric(data: Data) -> bool:
+    return any(name in data for name in ASYMMETRIC)
+
+
+def list_sensors(data: Data, quantity: str) -> Iterator[Any]:
+    """The sensors of ``quantity``; of an asymmetric one three, with the values of a phase and its ``phase``."""
+    yield from rows(data, f"sym_{quantity}_sensor")
+    for sensor in rows(data, f"asym_{quantity}_sensor"):
+        values = {name: sensor[name] for name in sensor.dtype.names}
+        for k, phase in enumerate("abc"):
+            yield {name: value[k] if np.ndim(value) else value for name, value in values.items()} | {"phase": phase}
 
 
 def has_sensors(data: Data) -> bool:

@@ -12,19 +12,26 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.loads import Load
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.grid.nodes import Primitive
 from dsse_core.grid.physical_ranges import find_base_problems
+from dsse_core.grid.primitives import build_line, find_size
 from scenarios.files.network_columns import default_branch_id
 from scenarios.files.zero_impedances import reject_zero_impedances
 from scenarios.importers.imported import (
     Imported,
     Remark,
     add_shunts,
+    find_places,
     find_source_problems,
     fuse,
     fused_remarks,
     leave_out_islands,
+    list_shunt_legs,
     loop_shunt,
     open_end_shunt,
 )
@@ -36,10 +43,12 @@ from scenarios.importers.power_grid_model.data import (
     Data,
     has_sensors,
     ids,
+    is_asymmetric,
     load_data,
     rows,
     working_sources,
 )
+from scenarios.importers.power_grid_model.phases import ABC, build_three_phases, list_legs, spread
 from scenarios.importers.power_grid_model.sensors import Conversion, find_metered_branches, read_sensors
 
 BASE_VA = 1e6
@@ -66,13 +75,15 @@ def read_power_grid_model(path: Path, tree: Any, frequency_hz: float) -> Importe
     if "line" in data:
         remarks.append(Remark("note", f"line capacitances at {frequency_hz:g} Hz, which the file does not hold"))
     converted = {name: len(data[name]) for name in sorted(data) if name not in SENSORS}
+    substation = conversion.bus_of[int(working_sources(data)[0]["node"])]
     return Imported(
         network=conversion.network,
         data_source=f"power-grid-model input {path.name}",
         converted=converted,
         remarks=(*remarks_of_data, *remarks, *sensor_remarks),
         readings=readings,
-        substation=conversion.bus_of[int(working_sources(data)[0]["node"])],
+        substation=substation,
+        places=find_places(conversion.network, substation) if is_asymmetric(data) else None,
         zero_injection=_find_zero_injections(conversion) if readings else "virtual",
     )
 
@@ -102,11 +113,12 @@ def _convert(name: str, data: Data, frequency_hz: float, *, measured: bool) -> t
     bus_of = fuse(kv, ((int(link["from_node"]), int(link["to_node"])) for link in closed))
     metered = find_metered_branches(data) if measured else frozenset()
     branches, branch_of, shunts, open_ends = _build_branches(data, kv, bus_of, frequency_hz, metered)
+    legs = [*list_legs(data, bus_of), *_find_shunt_legs(data, kv, bus_of)] if is_asymmetric(data) else []
     for node, shunt in _find_shunts(data, kv, measured=measured):
         shunts.setdefault(bus_of[node], []).append(shunt)
     buses, generators = _build_buses(data, kv, bus_of, measured=measured)
     buses += open_ends.values()
-    source_bus, source_branch, slack = _build_source(data, kv, bus_of)
+    source_bus, source_branch, slack = _build_source(data, kv, bus_of, measured=measured)
     if source_bus and source_branch:
         buses.append(source_bus)
         branches.append(source_branch)
@@ -117,6 +129,7 @@ def _convert(name: str, data: Data, frequency_hz: float, *, measured: bool) -> t
         buses=tuple(add_shunts(bus, shunts[bus.id]) if bus.id in shunts else bus for bus in buses),
         branches=tuple(branches),
         generators=(slack, *generators),
+        loads=tuple(legs),
     )
     network, island_remarks = leave_out_islands(network)
     remarks = [
@@ -142,10 +155,26 @@ def _find_problems(data: Data, *, measured: bool) -> Iterator[str]:
     island_of = fuse(nodes, ((int(b["from_node"]), int(b["to_node"])) for b in closed))
     sources = [(f"source {source['id']}", int(source["node"])) for source in working_sources(data)]
     yield from find_source_problems(sources, island_of, "take the sources of the other islands out of service")
+    if is_asymmetric(data):
+        yield from _find_problems_of_phases(data, island_of, measured=measured)
+        return
     for name in APPLIANCES:
         held = (CONSTANT_POWER, CONSTANT_IMPEDANCE)
         if bad := [a for a in rows(data, name) if not measured and a["status"] and a["type"] not in held]:
             yield f"{name} {ids(bad)}: constant current, which the network model cannot hold; make it constant power"
+
+
+def _find_problems_of_phases(data: Data, bus_of: Mapping[int, int], *, measured: bool) -> Iterator[str]:
+    branches = list(_all_branches(data))
+    apart = [shunt for shunt in rows(data, "shunt") if shunt["status"] and _has_zero_sequence(data, shunt)]
+    if measured and apart:
+        yield f"shunt {ids(apart)}: g0, b0 are not g1, b1, and no sensor reads the power of a shunt; make them equal"
+    if half := [b for b in branches if bool(b["from_status"]) != bool(b["to_status"])]:
+        yield f"branch {ids(half)}: open at one end, which a branch with phases cannot be; open both ends"
+    closed = [link for link in rows(data, "link") if link["from_status"] and link["to_status"]]
+    joined = fuse(bus_of, ((int(link["from_node"]), int(link["to_node"])) for link in closed))
+    if loops := [b for b in branches if b["from_status"] and joined[int(b["from_node"])] == joined[int(b["to_node"])]]:
+        yield f"branch {ids(loops)}: links join its two ends; take it out of service"
 
 
 def _find_open_ends(data: Data, open_ends: Mapping[int, Bus]) -> Iterator[Remark]:
@@ -172,7 +201,7 @@ def _find_unused(data: Data) -> Iterator[Remark]:
         if name in data:
             yield Remark("left out", f"{name} {ids(data[name])}: {reason}")
     for name in APPLIANCES:
-        if unknown := [a for a in rows(data, name) if a["status"] and math.isnan(a["p_specified"])]:
+        if unknown := [a for a in rows(data, name) if a["status"] and np.isnan(a["p_specified"]).any()]:
             yield Remark("changed", f"{name} {ids(unknown)}: no power is specified, 0 is written; its sensor counts")
 
 
@@ -208,6 +237,8 @@ def _build_branches(
             pi = BUILDERS[name](component, *kv_of_ends, frequency_hz)
             rated = find_rating(name, component, *kv_of_ends)
             branch = Branch(branch_id, ends[0], ends[1], **pi._asdict(), **rated)
+            if is_asymmetric(data):
+                branch = _with_phases(branch, build_three_phases(name, component, pi, kv_of_ends, frequency_hz))
             if not is_open and ends[0] == ends[1]:
                 shunts.setdefault(ends[0], []).append(loop_shunt(branch))
             elif not is_open:
@@ -221,16 +252,36 @@ def _build_branches(
     return branches, branch_of, shunts, open_ends
 
 
+def _with_phases(branch: Branch, primitive: Primitive) -> Branch:
+    size = find_size(primitive)
+    return Branch(
+        branch.id, branch.from_bus, branch.to_bus, size.real, size.imag, i_max=branch.i_max, s_max=branch.s_max,
+        primitive=primitive,
+    )  # fmt: skip
+
+
 def _find_shunts(data: Data, kv: dict[int, float], *, measured: bool) -> Iterator[tuple[int, complex]]:
     """(node, admittance in p.u.) of shunts in service and, if not measured, of appliances of constant impedance."""
     for shunt in rows(data, "shunt"):
-        if shunt["status"]:
+        if shunt["status"] and not _has_zero_sequence(data, shunt):
             node = int(shunt["node"])
             yield node, complex(shunt["g1"], shunt["b1"]) * kv[node] ** 2
-    for name, sign in () if measured else APPLIANCES.items():
+    for name, sign in () if measured or is_asymmetric(data) else APPLIANCES.items():
         for a in rows(data, name):
             if a["status"] and a["type"] == CONSTANT_IMPEDANCE:
                 yield int(a["node"]), -sign * complex(_power(a, "p"), -_power(a, "q"))
+
+
+def _has_zero_sequence(data: Data, shunt: Any) -> bool:
+    """True for a shunt with phases that is not alike in all of them."""
+    return is_asymmetric(data) and (shunt["g0"], shunt["b0"]) != (shunt["g1"], shunt["b1"])
+
+
+def _find_shunt_legs(data: Data, kv: dict[int, float], bus_of: dict[int, int]) -> Iterator[Load]:
+    for shunt in rows(data, "shunt"):
+        if shunt["status"] and _has_zero_sequence(data, shunt):
+            y1, y0 = (complex(shunt[f"g{k}"], shunt[f"b{k}"]) * kv[int(shunt["node"])] ** 2 for k in (1, 0))
+            yield from list_shunt_legs(bus_of[int(shunt["node"])], [*ABC], spread(y1, y0))
 
 
 def _power(appliance: Any, part: str) -> float:
@@ -241,6 +292,9 @@ def _power(appliance: Any, part: str) -> float:
 def _build_buses(
     data: Data, kv: dict[int, float], bus_of: dict[int, int], *, measured: bool
 ) -> tuple[list[Bus], list[Generator]]:
+    ids = sorted(set(bus_of.values()))
+    if is_asymmetric(data):
+        return [Bus(i, kv[i], phases=ABC) for i in ids], []
     loads: dict[int, complex] = {}
     generators = []
     for name in APPLIANCES:
@@ -252,14 +306,16 @@ def _build_buses(
                 loads[bus] = loads.get(bus, 0j) + complex(p, q)
             else:
                 generators.append(Generator(bus, Control.POWER, p, q))
-    ids = sorted(set(bus_of.values()))
     return [Bus(i, kv[i], p_load=(s := loads.get(i, 0j)).real, q_load=s.imag) for i in ids], generators
 
 
 def _build_source(
-    data: Data, kv: dict[int, float], bus_of: dict[int, int]
+    data: Data, kv: dict[int, float], bus_of: dict[int, int], *, measured: bool
 ) -> tuple[Bus | None, Branch | None, Generator]:
-    """The slack behind the source's impedance, ``|z| = u^2 / sk`` with ``r / x = rx_ratio``; at its node if stiff."""
+    """The slack behind the source's impedance, ``|z| = u^2 / sk`` with ``r / x = rx_ratio``; at its node if stiff.
+
+    With sensors of phases at its node, too: power-grid-model's estimate fixes the angles of all phases there.
+    """
     source = working_sources(data)[0]
     node = bus_of[int(source["node"])]
     sk = float(source["sk"]) if not math.isnan(source["sk"]) else 1e10
@@ -267,12 +323,16 @@ def _build_source(
     z = BASE_VA / sk
     va = 0.0 if math.isnan(source["u_ref_angle"]) else float(source["u_ref_angle"])
     vm = 1.0 if math.isnan(source["u_ref"]) else float(source["u_ref"])
-    if z < STIFF:
+    if z < STIFF or (measured and is_asymmetric(data)):
         return None, None, Generator(node, Control.SLACK, vm=vm, va=va)
     inside = max(kv) + 1
     x = z / math.hypot(1.0, ratio)
     branch = Branch(default_branch_id(inside, node, ()), inside, node, r=x * ratio, x=x)
-    bus = Bus(inside, kv[node], name=f"inside source {source['id']}")
+    bus = Bus(inside, kv[node], name=f"inside source {source['id']}", phases=ABC if is_asymmetric(data) else "")
+    if bus.phases:
+        z01 = 1.0 if math.isnan(source["z01_ratio"]) else float(source["z01_ratio"])
+        z1 = complex(branch.r, branch.x)
+        branch = _with_phases(branch, build_line(ABC, spread(z1, z01 * z1)))
     return bus, branch, Generator(inside, Control.SLACK, vm=vm, va=va)
 
 

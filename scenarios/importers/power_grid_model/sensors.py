@@ -18,7 +18,7 @@ from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA
 from dsse_core.printable import listed
 from scenarios.importers.imported import NO_INFORMATION, Remark, combine_readings, sum_readings
-from scenarios.importers.power_grid_model.data import APPLIANCES, Data, rows
+from scenarios.importers.power_grid_model.data import APPLIANCES, Data, is_asymmetric, list_sensors, rows
 
 KIND = MeasurementKind
 BASE_VA = 1e6
@@ -47,11 +47,11 @@ class Conversion:
 
 @dataclass
 class _Reader:
-    """The sensors read so far. ``of_appliances``: (kind, bus) -> appliance -> readings of its sensors."""
+    """The sensors read so far. ``of_appliances``: injection -> appliance -> readings of its sensors."""
 
     conversion: Conversion
     readings: list[Measurement] = field(default_factory=list)
-    of_appliances: dict[tuple[KIND, int], dict[int, list[Measurement]]] = field(default_factory=dict)
+    of_appliances: dict[Meter, dict[int, list[Measurement]]] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     unsupplied: list[int] = field(default_factory=list)
     uninformative: dict[int, None] = field(default_factory=dict)
@@ -82,7 +82,7 @@ class _Reader:
 
 def find_metered_branches(data: Data) -> frozenset[int]:
     """The branch components that have a sensor of power or current at an end."""
-    sensors = [*rows(data, "sym_power_sensor"), *rows(data, "sym_current_sensor")]
+    sensors = [*list_sensors(data, "power"), *list_sensors(data, "current")]
     ends = (BRANCH_FROM, BRANCH_TO)
     return frozenset(int(s["measured_object"]) for s in sensors if int(s["measured_terminal_type"]) in ends)
 
@@ -94,13 +94,13 @@ def read_sensors(what: str, conversion: Conversion) -> tuple[tuple[Measurement, 
         InvalidInputError: listing every sensor that no meter here can be.
     """
     reader = _Reader(conversion)
-    angles = [s for s in rows(conversion.data, "sym_voltage_sensor") if not math.isnan(s["u_angle_measured"])]
+    angles = [s for s in list_sensors(conversion.data, "voltage") if not math.isnan(s["u_angle_measured"])]
     _check_angles(reader, angles)
-    for sensor in rows(conversion.data, "sym_voltage_sensor"):
+    for sensor in list_sensors(conversion.data, "voltage"):
         _read_voltage(reader, sensor)
-    for sensor in rows(conversion.data, "sym_power_sensor"):
+    for sensor in list_sensors(conversion.data, "power"):
         _read_power(reader, sensor)
-    for sensor in rows(conversion.data, "sym_current_sensor"):
+    for sensor in list_sensors(conversion.data, "current"):
         _read_current(reader, sensor)
     injections = list(_sum_injections(reader))
     if reader.problems:
@@ -119,14 +119,15 @@ def _check_angles(reader: _Reader, sensors: list[Any]) -> None:
 
     Several angles need a meter that counts from no bus.
     """
-    ids = listed([int(sensor["id"]) for sensor in sensors])
-    if len(sensors) == 1:
+    ids = listed(list(dict.fromkeys(int(sensor["id"]) for sensor in sensors)))
+    kind = "asym_voltage_sensor" if is_asymmetric(reader.conversion.data) else "sym_voltage_sensor"
+    if len(sensors) == 1 and kind == "sym_voltage_sensor":
         text = f"the angle of voltage sensor {ids}: it only turns the whole grid; angles count from the substation here"
         reader.remarks.append(Remark("left out", text))
     elif sensors:
         reader.problems.append(
-            f"sym_voltage_sensor {ids}: their angles count from a common clock, angles here from the substation; "
-            "leave u_angle_measured out of all but one"
+            f"{kind} {ids}: their angles count from a common clock, angles here from the substation; leave "
+            "u_angle_measured out of all but one, with phases of all"
         )
 
 
@@ -136,9 +137,9 @@ def _read_voltage(reader: _Reader, sensor: Any) -> None:
         reader.unsupplied.append(int(sensor["id"]))
         return
     bus = reader.conversion.bus_of[node]
-    base = reader.conversion.network.bus(bus).base_kv * 1000
+    base = reader.conversion.network.bus(bus).base_kv * 1000 / (math.sqrt(3) if _phase_of(sensor) else 1.0)
     if reading := _reading_of(reader, sensor, float(sensor["u_measured"]) / base, float(sensor["u_sigma"]) / base):
-        reader.readings.append(Measurement(Meter(KIND.VM, bus), *reading))
+        reader.readings.append(Measurement(Meter(KIND.VM, bus, phases=_phase_of(sensor)), *reading))
 
 
 def _read_power(reader: _Reader, sensor: Any) -> None:
@@ -147,15 +148,15 @@ def _read_power(reader: _Reader, sensor: Any) -> None:
         _read_flow(reader, sensor, _end_of(reader, place, terminal), 1.0)
     elif terminal == SHUNT:
         reader.problems.append(
-            f"sym_power_sensor {sensor['id']}: the power of shunt {place} follows from the voltage; no meter reads it; "
-            "remove the sensor"
+            f"{_kind_of(sensor)} {sensor['id']}: the power of shunt {place} follows from the voltage; no meter reads "
+            "it; remove the sensor"
         )
     elif terminal == NODE:
         _read_node(reader, sensor, place)
     elif terminal in SIGN_AT_APPLIANCE:
         _read_appliance(reader, sensor, place, SIGN_AT_APPLIANCE[terminal])
     else:
-        reader.problems.append(f"sym_power_sensor {sensor['id']}: the network model has no place of type {terminal}")
+        reader.problems.append(f"{_kind_of(sensor)} {sensor['id']}: the network model has no place of type {terminal}")
 
 
 def _end_of(reader: _Reader, component: int, terminal: int) -> tuple[int, str] | None:
@@ -173,7 +174,16 @@ def _read_flow(reader: _Reader, sensor: Any, end: tuple[int, str] | None, sign: 
         return
     for part, _, kind in PARTS:
         if reading := _power_of(reader, sensor, part, sign):
-            reader.readings.append(Measurement(Meter(kind, *end), *reading))
+            reader.readings.append(Measurement(Meter(kind, *end, phases=_phase_of(sensor)), *reading))
+
+
+def _kind_of(sensor: Any) -> str:
+    return "asym_power_sensor" if _phase_of(sensor) else "sym_power_sensor"
+
+
+def _phase_of(sensor: Any) -> str:
+    """The phase of an asymmetric sensor's value; empty of a symmetric one."""
+    return str(sensor["phase"]) if isinstance(sensor, dict) else ""
 
 
 def _reading_of(reader: _Reader, sensor: Any, value: float, sigma: float) -> tuple[float, float] | None:
@@ -188,7 +198,8 @@ def _power_of(reader: _Reader, sensor: Any, part: str, sign: float) -> tuple[flo
     value, sigma = float(sensor[f"{part}_measured"]), float(sensor[f"{part}_sigma"])
     if math.isnan(sigma):
         sigma = float(sensor["power_sigma"]) / math.sqrt(2)
-    return _reading_of(reader, sensor, sign * value / BASE_VA, sigma / BASE_VA)
+    base = BASE_VA / 3 if _phase_of(sensor) else BASE_VA
+    return _reading_of(reader, sensor, sign * value / base, sigma / base)
 
 
 def _read_node(reader: _Reader, sensor: Any, node: int) -> None:
@@ -201,7 +212,7 @@ def _read_node(reader: _Reader, sensor: Any, node: int) -> None:
         reader.unsupplied.append(int(sensor["id"]))
     elif bus in reader.conversion.shunted or bus in reader.source_nodes:
         reader.problems.append(
-            f"sym_power_sensor {sensor['id']}: the power of node {node} includes a shunt or a source behind its "
+            f"{_kind_of(sensor)} {sensor['id']}: the power of node {node} includes a shunt or a source behind its "
             "impedance, which no injection meter sees; put sensors at the other elements there"
         )
     elif bus not in reader.fed_buses:
@@ -210,7 +221,7 @@ def _read_node(reader: _Reader, sensor: Any, node: int) -> None:
     else:
         for part, kind, _ in PARTS:
             if reading := _power_of(reader, sensor, part, 1.0):
-                reader.readings.append(Measurement(Meter(kind, bus), *reading))
+                reader.readings.append(Measurement(Meter(kind, bus, phases=_phase_of(sensor)), *reading))
 
 
 def _read_appliance(reader: _Reader, sensor: Any, component: int, sign: float) -> None:
@@ -222,8 +233,9 @@ def _read_appliance(reader: _Reader, sensor: Any, component: int, sign: float) -
     else:
         for part, kind, _ in PARTS:
             if reading := _power_of(reader, sensor, part, sign):
-                at = reader.of_appliances.setdefault((kind, bus), {})
-                at.setdefault(component, []).append(Measurement(Meter(kind, bus), *reading))
+                meter = Meter(kind, bus, phases=_phase_of(sensor))
+                at = reader.of_appliances.setdefault(meter, {})
+                at.setdefault(component, []).append(Measurement(meter, *reading))
 
 
 def _sum_injections(reader: _Reader) -> Iterator[Measurement]:
@@ -231,16 +243,16 @@ def _sum_injections(reader: _Reader) -> Iterator[Measurement]:
     at_bus: dict[int, set[int]] = {}
     for component, bus in reader.appliances.items():
         at_bus.setdefault(bus, set()).add(component)
-    for (kind, bus), of_appliances in reader.of_appliances.items():
-        if missing := at_bus[bus] - of_appliances.keys():
+    for meter, of_appliances in reader.of_appliances.items():
+        if missing := at_bus[meter.bus] - of_appliances.keys():
             text = (
-                f"sensors of {listed(sorted(of_appliances))} at bus {bus} ({kind}): {listed(sorted(missing))} stands "
-                "there, too, without a sensor, so that they say nothing about the grid"
+                f"sensors of {listed(sorted(of_appliances))} at bus {meter.at} ({meter.kind}): "
+                f"{listed(sorted(missing))} stands there, too, without a sensor, so that they say nothing of the grid"
             )
             reader.remarks.append(Remark("left out", text))
         else:
             means = [combine_readings(readings)[0][0] for readings in of_appliances.values()]
-            yield sum_readings(Meter(kind, bus), [(m.value, m.sigma) for m in means])
+            yield sum_readings(meter, [(m.value, m.sigma) for m in means])
 
 
 def _read_current(reader: _Reader, sensor: Any) -> None:

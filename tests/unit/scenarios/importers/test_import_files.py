@@ -47,7 +47,7 @@ def test_a_source_without_measurements_becomes_a_scenario_with_made_up_meters(tm
 def test_a_network_is_cut_at_branches_by_id_or_name(tmp_path: Path) -> None:
     first, second, third = chain().branches
     named = replace(chain(), branches=(first, replace(second, name="line.tie"), third))
-    path, _ = write_imported(tmp_path / "named", Imported(named, "a test", {}), ["line.tie", "3-4"])
+    path, _ = write_imported(tmp_path / "named", Imported(named, "a test", {}), ["Line.Tie", "3-4"])
     assert [*load_scenario(path, strategies=STRATEGIES).partition.listed.values()] == [(1, 2), (2, 3), (3, 4)]
     with pytest.raises(InvalidInputError, match="there is no branch"):
         write_imported(tmp_path / "none", Imported(named, "a test", {}), ["line.x"])

@@ -41,12 +41,12 @@ def test_everything_that_the_model_cannot_hold_is_named(tmp_path: Path) -> None:
     assert "sym_load 60: constant current" in text
 
 
-def test_components_that_are_not_balanced_are_rejected(tmp_path: Path) -> None:
+def test_components_that_have_no_phases_are_rejected_beside_asymmetric_ones(tmp_path: Path) -> None:
     data = small_grid()
     data["asym_load"] = table(
         "asym_load", id=[90], node=[4], status=[1], type=[0], p_specified=[[1e3] * 3], q_specified=[[1e3] * 3]
     )
-    assert "asym_load 90: the network model cannot hold it" in problems_of(tmp_path, data)
+    assert "generic_branch 40: power-grid-model has none in asymmetric calculations" in problems_of(tmp_path, data)
 
 
 def test_data_that_power_grid_model_finds_wrong_is_rejected_with_its_words(tmp_path: Path) -> None:
