@@ -8,6 +8,7 @@ from pathlib import Path
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LONGEST_NAME
+from dsse_core.printable import listed, printable
 from scenarios.files.readings.file import save_readings
 from scenarios.files.saved_network import format_toml, name_network_file, save_network
 from scenarios.generate.cutting import cut_at, cut_into
@@ -29,7 +30,7 @@ source = "network"                       # readings of the power flow, with nois
 """
 METERS_OF_PHASES = """
 # These meters are made up: at the head, at regulators and at some ends; loads are forecasts. Change them to yours.
-[measurements]
+{names}[measurements]
 floor_kva = {floor_kva:g}                # no percentage below means less, in a phase
 zero_injection = "virtual"               # nodes without load and source inject exactly nothing
 voltage = {{ buses = {buses}, sigma_percent = 0.5 }}
@@ -100,8 +101,11 @@ def _write_files(folder: Path, imported: Imported, cut: int | Sequence[str]) -> 
         meters = REAL_METERS.format(zero_injection=list(zero) if isinstance(zero, tuple) else f'"{zero}"')
     elif places := imported.places:
         branches = format_toml(list(places.branches))
-        floor = network.node_mva * FLOOR
-        meters = METERS_OF_PHASES.format(buses=list(places.buses), branches=branches, floor_kva=floor)
+        floor, buses = network.node_mva * FLOOR, list(places.buses)
+        named = [f"{bus} is {name}" for bus in buses if (name := network.bus(bus).name)]
+        others = f"; {name_network_file(network.n_nodes)} names the others"
+        names = f"# Bus {printable(listed(named))}{others}.\n" if named else ""
+        meters = METERS_OF_PHASES.format(buses=buses, branches=branches, floor_kva=floor, names=names)
     else:
         slack = network.slack.bus if network.slack else network.buses[0].id
         meters = DEFAULT_METERS.format(substation=slack if imported.substation is None else imported.substation)

@@ -25,8 +25,8 @@ from dsse_core.grid.radial_order import Tree, find_tree
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.results.units import base_current
 from scenarios.files.network_file import load_network
-from scenarios.files.saved_network import save_network
 from scenarios.importers import import_grid
+from scenarios.importers.imported_files import write_imported
 from scenarios.importers.opendss.reader import Circuit, solve_circuit
 from scenarios.importers.opendss.script import Command, read_script
 from scenarios.importers.opendss.vocabulary import Words, load_vocabulary
@@ -156,10 +156,11 @@ def test_what_was_changed_is_said_and_profiles_stand_beside(tmp_path: Path) -> N
     assert imported.files["profiles_of_loads.csv"].splitlines()[1].startswith("load.behind,634,ab,day")
 
 
-def test_a_network_file_has_the_matrices_of_opendss(tmp_path: Path) -> None:
-    network = import_grid(write(tmp_path, TOY)).network
-    save_network(tmp_path / "network.toml", network, "test")
-    again = load_network(tmp_path / "network.toml")
+def test_a_network_file_has_the_matrices_of_opendss_and_a_scenario_the_names_of_metered_buses(tmp_path: Path) -> None:
+    imported = import_grid(write(tmp_path, TOY))
+    path, _ = write_imported(tmp_path / "toy", imported)
+    assert "# Bus 1000 is sourcebus, 60 is r60; network.toml names the others.\n" in path.read_text("utf-8")
+    network, again = imported.network, load_network(tmp_path / "toy" / "network.toml")
     for one, other in zip(network.branches, again.branches, strict=True):
         assert isinstance(one.primitive, Primitive)
         assert other.primitive.y == pytest.approx(one.primitive.y, rel=1e-14)
