@@ -16,6 +16,7 @@ from agents.transport.zenoh_bus import Router, Session, TransportError
 from coordinator.lab.deployment.certificates import create_keys
 from tests.support.dsse_command import free_endpoint
 from tests.support.impostor import Impostor, let_listen
+from tests.support.levels import further
 from tests.support.waiting import wait_until
 
 CHAIN = Access("run", {"a": ("b",), "b": ("a", "c"), "c": ("b",)}, gateways={"north": ("a", "b")})
@@ -155,7 +156,7 @@ def test_nobody_but_a_router_is_reported_or_received_where_a_router_is_expected(
         assert not talker.seen
 
 
-@pytest.mark.parametrize("mode", ["peer", "router"])
+@pytest.mark.parametrize("mode", ["peer", *further("router")])
 @pytest.mark.parametrize(("caller", "impostor"), [(c, i) for c in OWN_KEYS for i in ALL if c != i])
 def test_between_neighbours_a_key_gives_its_own_rights_at_any_endpoint(
     keys: Path, caller: str, impostor: str, mode: str

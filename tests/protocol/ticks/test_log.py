@@ -10,6 +10,7 @@ import pytest
 from agents.messages.packing import TelemetryMessage
 from agents.protocol.events import Action, Conclude, Event
 from agents.runtime.log import ChangeLog
+from tests.support.levels import further
 from tests.support.ticking import SCAN_S, Ticking, by_clock
 
 SCANS = 10
@@ -44,7 +45,9 @@ class Logs:
         return [line.partition(": ")[2] for line in self._lines[name]]
 
 
-@pytest.mark.parametrize("changes", [{}, {"faults__loss": 0.2, "faults__delay_ms": 20.0}, {"strategy": "angle-offset"}])
+@pytest.mark.parametrize(
+    "changes", [{}, *further({"faults__loss": 0.2, "faults__delay_ms": 20.0}, {"strategy": "angle-offset"})]
+)
 def test_scan_after_scan_leaves_one_line_in_the_log_of_each_area(caplog: pytest.LogCaptureFixture, changes):
     run = Ticking(by_clock(**changes))
     logs = Logs(run, caplog)

@@ -161,8 +161,12 @@ def test_a_signal_while_workers_are_started_shows_no_traceback_of_theirs(
     ("other", "message"),
     [
         (["industrial13-lossy", *SMALL[1:]], "scenario is 'industrial13'"),
-        (["industrial13", "--vary", "run.beat_s=0.1,0.2", *SMALL[3:]], "vary is [['faults.loss']]"),
-        ([*SMALL, "--delay-ms", "3"], "links is {}"),
+        pytest.param(
+            ["industrial13", "--vary", "run.beat_s=0.1,0.2", *SMALL[3:]],
+            "vary is [['faults.loss']]",
+            marks=pytest.mark.long,
+        ),
+        pytest.param([*SMALL, "--delay-ms", "3"], "links is {}", marks=pytest.mark.long),
         ([*SMALL, "--timeout", "7"], "scenario_sha256 is"),
     ],
 )
