@@ -16,7 +16,7 @@ from agents.messages.boundary_arrays import Lengths, count_triangle, find_wrong_
 from agents.messages.checks import BusId, Count, Integer, MessageError, Name, Names, Notes, Number, Numbers, PerPhase
 from dsse_core.estimation.decision import Totals
 from dsse_core.exchange.boundary_load import Loads, NetLoad
-from dsse_core.grid.boundary import Boundary, boundary_of, find_wrong_name
+from dsse_core.grid.boundary import Boundary, Kind, boundary_of, find_wrong_name
 from dsse_core.split_identity import NO_SPLIT, SplitIdentity
 
 LAST = {"is_last": True}  # of a field that stands behind those of derived classes
@@ -188,7 +188,8 @@ class RoundMessage(PlaceMessage):
     ``R``, ``z``: the side's cost-to-go at the boundary, ``1/2 |R y - z|^2``, R the upper triangle of a (d, d) matrix
     row by row; empty where no step is to come. ``no_load``: R of the no-load model in round 0, of (p, q) / vm_b^2,
     dvm / vm_b and dva, vm_b being the sender's no-load voltage; empty where something is missing. ``power``: the powers
-    among y; empty where all flow into the receiver, which computes them.
+    among y; empty where all flow into the receiver, which computes them. ``pieces``: in round 0, of each node of the
+    boundary, 0 where it is fed on the sender's side, else the number of its piece there.
     """
 
     R: Numbers
@@ -196,6 +197,7 @@ class RoundMessage(PlaceMessage):
     no_load: Numbers
     power: Numbers
     totals: Totals
+    pieces: tuple[Count, ...] = field(default=(), kw_only=True, metadata=LAST)
 
     def lengths(self) -> Lengths:
         d = self.boundary.d
@@ -205,6 +207,7 @@ class RoundMessage(PlaceMessage):
             "z": (len(self.z), (d,) if self.R else (0,)),
             "no_load": (len(self.no_load), (0, triangle)),
             "power": (len(self.power), (0, self.boundary.n_powers)),
+            "pieces": (len(self.pieces), (0, len(self.boundary.places[Kind.VM]))),
         }
 
 

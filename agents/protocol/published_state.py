@@ -127,11 +127,13 @@ def describe_estimate(estimate: Estimate | None, network: Network) -> dict[str, 
     if estimate is None:
         empty: dict[str, Any] = dict.fromkeys(EMPTY, ())
         return empty | {"referenced": False, "objective": 0.0, "degrees_of_freedom": 0, "checked": False}
+    vm, va, dead = estimate.vm.copy(), estimate.va.copy(), list(estimate.dead)
+    vm[dead] = va[dead] = 0.0
     return {
         "buses": network.node_buses,
         "phases": network.node_phases,
-        "vm": tuple(estimate.vm.tolist()),
-        "va": tuple(estimate.va.tolist()),
+        "vm": tuple(vm.tolist()),
+        "va": tuple(va.tolist()),
         "sigma_vm": tuple(estimate.sigma_vm.tolist()),
         "sigma_va": tuple(estimate.sigma_va.tolist()),
         "referenced": estimate.referenced,

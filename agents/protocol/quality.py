@@ -288,6 +288,18 @@ def find_missing_readings(unread: Sequence[str], invalid: Sequence[str]) -> Iter
         yield Finding(GOOD, f"no reading from {_first_of(unread)}", "no reading", unread)
 
 
+def find_dead_sections(places: Sequence[str], energised: Sequence[str], opened: Sequence[str]) -> Iterator[Finding]:
+    """Yields findings for ``places`` of this area without supply, and for voltmeters of any area that are ``energised``
+    there; ``opened``: the open branches around all such places.
+    """
+    around = f"; open around: {', '.join(opened)}" if opened else ""
+    if energised:
+        what = f"{', '.join(energised)} read a voltage where there is no supply{around}; check these statuses"
+        yield Finding(DEGRADED, what, "a voltage where there is no supply", energised)
+    if places:
+        yield Finding(GOOD, f"without supply: buses {', '.join(places)}{around}", "without supply", places)
+
+
 def find_meters_off(meters: Sequence[str]) -> Iterator[Finding]:
     """Yields a finding for the meters that the operator has switched off."""
     if meters:

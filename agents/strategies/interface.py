@@ -51,6 +51,7 @@ class Estimate:
     ``settled``: no exchange under way is going to move the estimate. ``undecided``: groups of meters of which the first
     is taken out, while the readings do not tell which meter of the group is wrong. ``into_children``: the powers into
     the branches of the children, p.u., as ``Area.powers_into_children`` has them; empty where they are not known.
+    ``dead``: nodes without supply, by rows, whose voltage is published as 0.
     """
 
     vm: np.ndarray
@@ -66,6 +67,7 @@ class Estimate:
     settled: bool = True
     undecided: tuple[tuple[str, ...], ...] = ()
     into_children: tuple[float, ...] = ()
+    dead: tuple[int, ...] = ()
 
     def is_reasonable(self, no_load_va: np.ndarray) -> bool:
         """True where a grid can be in this state, however unusual it is; ``no_load_va``: angles of the unloaded buses.

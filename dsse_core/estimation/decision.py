@@ -89,6 +89,8 @@ class Totals:
     held: HeldSplits = ()
     square: float = 0.0
     turn: float = 0.0
+    energised: tuple[str, ...] = ()  # voltmeters that read a voltage where no closed branch leads to the substation
+    dark: tuple[str, ...] = ()  # open branches with such an end
 
     @property
     def step(self) -> float:
@@ -119,6 +121,8 @@ def add_totals(parts: Iterable[Totals]) -> Totals:
         held=add_held((t.held for t in parts), MOST_NAMED),
         square=limit_total(sum(t.square for t in parts)),
         turn=limit_total(sum(t.turn for t in parts)),
+        energised=_add_names(t.energised for t in parts),
+        dark=_add_names(t.dark for t in parts),
     )
 
 
@@ -137,7 +141,7 @@ def find_omission(totals: Totals, part: Totals) -> str:
     """
     if totals.areas <= part.areas:
         return f"it counts {totals.areas} areas where {part.areas} on this side are not all"
-    for name in ("silent", "stale", "unobservable", "failed"):
+    for name in ("silent", "stale", "unobservable", "failed", "energised", "dark"):
         names = getattr(totals, name)
         if len(names) < MOST_NAMED and (missing := set(getattr(part, name)) - set(names)):
             return f"it leaves out of what is {name}: {', '.join(sorted(missing))}"

@@ -15,7 +15,7 @@ import numpy as np
 
 from dsse_core.errors import DsseError
 from dsse_core.estimation.decision import MOST_NAMED, Decision, Memory, Totals, Verdict, limit_total
-from dsse_core.estimation.residuals import MeterChecks, find_dead
+from dsse_core.estimation.residuals import DEAD_VM, MeterChecks, find_dead
 from dsse_core.exchange.boundary_load import Loads, powers_from, stand_in_for
 from dsse_core.exchange.feeder_bad_data import (
     NoLoadModel,
@@ -23,8 +23,10 @@ from dsse_core.exchange.feeder_bad_data import (
     count_freedom,
     find_objective,
 )
+from dsse_core.exchange.supply import FED, Pieces, find_pieces, find_pieces_for
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Network
+from dsse_core.grid.nodes import list_phases
 from dsse_core.grid.partition import Area
 from dsse_core.grid.quantities import Quantity
 from dsse_core.grid.switches import keep_in_service
@@ -86,6 +88,7 @@ class AreaEstimation:
         self._measured_at_no_load: Sequence[Measurement] = ()
         self._meters_of_no_load: tuple[Meter, ...] = ()
         self._kept_no_load: dict[tuple[str, ...], tuple[object, object]] = {}  # query -> its input, its result
+        self.dead = np.zeros(self._n, dtype=bool)  # nodes without supply
 
     @property
     def model(self) -> AreaModel:
@@ -122,7 +125,8 @@ class AreaEstimation:
         if (meters := tuple(m.meter for m in self._readings)) != self._meters_read:
             self._meters_read, self.own_meters = meters, frozenset(meter.id for meter in meters)
         self.reported, self.before_removal = set(), None
-        self._start = self._start_of_term = self._flat if self.failure else self.x
+        self.dead = find_pieces(self.area, {}) != FED  # what lies behind neighbours is not known yet
+        self._start = self._start_of_term = self._hold_dead(self._flat if self.failure else self.x)
         self._start_anew(())
         self.stand_ins = self._find_stand_ins(loads or {})
 
@@ -136,6 +140,41 @@ class AreaEstimation:
             self._model.end()
         self._model, self._boundary_values = None, {}
         self._no_load, self._meters_of_no_load, self._kept_no_load = None, (), {}
+
+    def _hold_dead(self, x: np.ndarray) -> np.ndarray:
+        """``x`` with nodes without supply at no load: there they begin when they are fed again."""
+        dead = self._of_dead
+        return np.concatenate([np.where(dead, self._flat[: len(dead)], x[: len(dead)]), x[len(dead) :]])
+
+    @property
+    def _of_dead(self) -> np.ndarray:
+        """True for the angles, then the magnitudes, of nodes without supply, (2 n_nodes,)."""
+        return np.tile(self.dead, 2)
+
+    def _is_dead(self, meter: Meter) -> bool:
+        """True where a meter reads a node without supply."""
+        network = self.area.network
+        if network.table.nodes.is_balanced or not meter.phases:
+            return bool(self.dead[network.nodes_at(meter.bus)].any())
+        return any(self.dead[network.node(meter.bus, phase)] for phase in list_phases(meter.phases))
+
+    def _leave_dead(self, pieces: Mapping[str, Pieces]) -> None:
+        """Leaves out the nodes that ``pieces``, of all neighbours in use, show to be without supply."""
+        dead = find_pieces(self.area, pieces) != FED
+        if (dead != self.dead).any():
+            self.dead = dead
+            self.x, self._start = self._hold_dead(self.x), self._hold_dead(self._start)
+            self._start_of_term = self._hold_dead(self._start_of_term)
+            self._build()
+
+    @property
+    def dead_places(self) -> tuple[str, ...]:
+        """Names of the area's nodes without supply, or of ranges of buses."""
+        return _name_nodes(self.area.network, np.flatnonzero(self.dead).tolist())
+
+    def pieces_for(self, neighbour: str, received: Mapping[str, Pieces]) -> Pieces:
+        """The pieces of the boundary to ``neighbour`` on this side of it, before the first step; empty afterwards."""
+        return find_pieces_for(self.area, neighbour, received) if self.is_first else ()
 
     def _find_stand_ins(self, loads: Mapping[str, Loads]) -> dict[str, BoundaryInformation]:
         """Silent neighbour -> information that stands in for its own, see ``stand_in_for``.
@@ -189,7 +228,10 @@ class AreaEstimation:
         self._n_current = len(with_currents) - len(without)
         in_use = with_currents if self._uses_currents else without
         as_before = self._silent or self._is_blank
-        further = (VoltageReadings(self._start[: 2 * self._n]),) if as_before else ()
+        further: tuple[VoltageReadings, ...] = (VoltageReadings(self._start[: 2 * self._n]),) if as_before else ()
+        if self.dead.any():
+            in_use = [m for m in in_use if not self._is_dead(m.meter)]
+            further += (VoltageReadings(self._flat[: 2 * self._n], there=self._of_dead),)
         meters = tuple(m.meter for m in in_use)
         former = self._model
         if former is not None and former.meters == meters:
@@ -289,7 +331,7 @@ class AreaEstimation:
             objective, dva, dvm = map(limit_total, sizes)
             numbers = {
                 "objective": objective,
-                "degrees_of_freedom": count_freedom(model),
+                "degrees_of_freedom": count_freedom(model) + int((self._of_dead & self._is_own).sum()),
                 "dva": dva,
                 "dvm": dvm,
                 "square": limit_total(self._multiply_own(self._step, self._step)),
@@ -305,7 +347,23 @@ class AreaEstimation:
             silent=tuple(sorted(self._silent)),
             stale=(name,) if self._is_stale else (),
             unobservable=_name_nodes(self.area.network, [node for node in self.unobservable if self._is_own[node]]),
+            energised=tuple(sorted(m.meter.id for m in self._readings if self._is_energised(m)))[:MOST_NAMED],
+            dark=self._find_dark()[:MOST_NAMED],
         )
+
+    def _is_energised(self, reading: Measurement) -> bool:
+        """True where a voltmeter reads a voltage at a node without supply."""
+        is_voltage = reading.meter.kind is MeasurementKind.VM and reading.value >= DEAD_VM
+        return is_voltage and bool(self.dead.any()) and self._is_dead(reading.meter)
+
+    def _find_dark(self) -> tuple[str, ...]:
+        """Ids of the open branches with an end without supply."""
+        if not self.dead.any():
+            return ()
+        network = self.area.network
+        opened = (branch for branch in network.branches if not branch.in_service)
+        ends = ((branch.id, network.nodes_at(bus)) for branch in opened for bus in (branch.from_bus, branch.to_bus))
+        return tuple(sorted({branch for branch, nodes in ends if self.dead[nodes].any()}))
 
     def _multiply_own(self, a: np.ndarray, b: np.ndarray) -> float:
         """Product of two steps over the voltages of the area's own buses."""
@@ -314,15 +372,28 @@ class AreaEstimation:
 
     # Carrying out verdicts
 
-    def carry_out(self, verdict: Verdict, memory: Memory, received: Received, no_load: Received) -> None:
-        """Carries out ``verdict`` at x_k with the information ``received`` of all neighbours in use."""
+    def carry_out(
+        self,
+        verdict: Verdict,
+        memory: Memory,
+        received: Received,
+        no_load: Received,
+        pieces: Mapping[str, Pieces] | None = None,
+    ) -> None:
+        """Carries out ``verdict`` at x_k with the information ``received`` of all neighbours in use.
+
+        ``no_load``, ``pieces``: of these neighbours, before the first step.
+        """
         try:
+            if self.is_first:
+                self._leave_dead(pieces or {})
             self._check_no_load(no_load)
             if verdict.takes_step:
                 self._check_information(received)
                 self.received = self._with_stand_ins(received)
                 self.linearized_at, self._step_before = self.x, self._step
                 self._step = self.model.linear.step(self.x, self.received)
+                self._step[: 2 * self._n][self._of_dead] = 0.0
                 self.x = self.x + verdict.share * self._step
                 self._check()
                 if not memory.removed and verdict.with_step:
@@ -386,7 +457,8 @@ class AreaEstimation:
 
     def _examine_no_load(self, received: Received) -> None:
         found = self._keep((), received, lambda: self._at_no_load().examine(received))
-        self.unobservable, indispensable = found or ((), frozenset())
+        undetermined, indispensable = found or ((), frozenset())
+        self.unobservable = tuple(node for node in undetermined if not self.dead[node])
         if not self.unobservable:
             self.critical = tuple(sorted(indispensable & self.model.real_ids))
 
@@ -406,6 +478,7 @@ class AreaEstimation:
         of_state, variance = self._variances()
         self._omega = variance
         sigma = np.sqrt(np.maximum(of_state, 0.0))
+        sigma[: 2 * self._n][self._of_dead] = 0.0
         return sigma[self._n : 2 * self._n], sigma[: self._n], self._check_meters(variance).critical
 
     def describe_readings(self) -> dict[str, tuple[float, float]]:
@@ -444,7 +517,9 @@ class AreaEstimation:
         """
         silent = (self.area.boundaries[name] for name in self._silent)
         is_known = not any(power.area != self.area.name for there in silent for power in there.powers)
-        return tuple(self.x[2 * self._n :].tolist()) if is_known else ()
+        network, powers = self.area.network, self.area.powers_into_children
+        fed = [not self.dead[network.node(power.bus, power.phase)] for power in powers]
+        return tuple((self.x[2 * self._n :] * fed).tolist()) if is_known else ()
 
     @property
     def voltages(self) -> tuple[np.ndarray, np.ndarray]:

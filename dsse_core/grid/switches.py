@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -29,6 +30,22 @@ def name_statuses(closed: Mapping[str, bool]) -> dict[str, str]:
 def read_statuses(named: Mapping[str, str]) -> dict[str, bool]:
     """Switch -> True where it is closed, of the statuses that a message names; others than these two are left out."""
     return {switch: status == CLOSED for switch, status in named.items() if status in (OPEN, CLOSED)}
+
+
+def take_fed(network: Network, readings: Sequence[Measurement]) -> tuple[Network, Sequence[Measurement]]:
+    """The part of ``network`` that closed branches join to the substation, and its ``readings``."""
+    readings = keep_in_service(network, readings)
+    dead = set(network.find_unreached_buses(network.slack.bus)) if network.slack else set()
+    if not dead:
+        return network, readings
+    part = replace(
+        network,
+        buses=tuple(bus for bus in network.buses if bus.id not in dead),
+        branches=tuple(branch for branch in network.branches if not {branch.from_bus, branch.to_bus} & dead),
+        generators=tuple(generator for generator in network.generators if generator.bus not in dead),
+        loads=tuple(load for load in network.loads if load.bus not in dead),
+    )
+    return part, [reading for reading in readings if reading.meter.bus not in dead]
 
 
 def keep_in_service(network: Network, readings: Sequence[Measurement]) -> Sequence[Measurement]:

@@ -59,17 +59,28 @@ class FurtherRows(ABC):
 
 @dataclass(frozen=True, eq=False)
 class VoltageReadings(FurtherRows):
-    """Readings ``z`` of every voltage: angles, then magnitudes, (2 n_nodes,), such as the state before."""
+    """Readings ``z`` of voltages: angles, then magnitudes, (2 n_nodes,), such as the state before.
+
+    ``there``: True for the voltages that are read, (2 n_nodes,); None for all.
+    """
 
     z: np.ndarray
     sigma: float = PRIOR_SIGMA
+    there: np.ndarray | None = None
 
     def at(self, x: np.ndarray) -> RowsAt:
         k, n = len(self.z), len(self.z) // 2
         response = np.zeros((k, 2))
         response[:n, 1], response[n:, 0] = 1.0, x[n:k]
         H = sp.csr_array(sp.eye_array(k, len(x), format="csr"))
-        return RowsAt(H, self.z - x[:k], np.full(k, self.sigma), response)
+        rows = np.arange(k) if self.there is None else np.flatnonzero(self.there)
+        return RowsAt(H[rows], (self.z - x[:k])[rows], np.full(len(rows), self.sigma), response[rows])
+
+    @property
+    def weight(self) -> np.ndarray:
+        """1 / sigma^2 of each voltage, (2 n_nodes,), 0 where it is not read."""
+        there = np.ones(len(self.z), dtype=bool) if self.there is None else self.there
+        return there / self.sigma**2
 
 
 @dataclass(frozen=True, eq=False)

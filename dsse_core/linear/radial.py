@@ -247,10 +247,11 @@ class RadialSolver(LinearArea):
         z, w = tree.z[:, :N_VOLTAGE_SLOT], tree.w[:, :N_VOLTAGE_SLOT]
         for further in model.further:
             assert isinstance(further, VoltageReadings)  # others are dense, see ``choose``
-            read, of_read = np.stack(np.split(further.z, 2))[:, tree.plan.order].T, further.sigma**-2.0
+            read, of_read = (np.stack(np.split(of, 2))[:, tree.plan.order].T for of in (further.z, further.weight))
             joint, misfit = w + of_read, z - read
             misfit[:, 0] = np.pi - (np.pi - misfit[:, 0]) % (2 * np.pi)
-            z[:], w[:] = read + w / joint * misfit, joint
+            share = np.divide(w, joint, where=joint > 0, out=np.ones_like(w))
+            z[:], w[:] = read + share * misfit, joint
         return tree
 
     def _variance_beside_further(self, t: Tree, x: np.ndarray) -> np.ndarray:

@@ -32,6 +32,7 @@ class ToyEstimation:
         self.own_meters: frozenset[str] = frozenset()
         self.before_removal = None
         self.is_first = False
+        self.dead, self.dead_places = np.zeros(1, dtype=bool), ()
         self.find_term: Callable[[], tuple[int, int]] = lambda: (0, 0)
         self.final: tuple[Part, ...] = ()
         self.reading = float("nan")
@@ -51,6 +52,9 @@ class ToyEstimation:
         pass
 
     def power_for(self, neighbour: str) -> tuple[float, ...]:
+        return ()
+
+    def pieces_for(self, neighbour: str, received: Mapping) -> tuple[int, ...]:
         return ()
 
     def no_load_for(self, neighbour: str, received: Mapping) -> None:
@@ -81,7 +85,7 @@ class ToyEstimation:
         stale = (self.area.name,) if self._is_stale else ()
         return Totals(dvm=self._step, degrees_of_freedom=9, areas=1, referenced=True, silent=self._silent, stale=stale)
 
-    def carry_out(self, verdict, memory, received: Mapping[str, BoundaryInformation], no_load: Mapping) -> None:
+    def carry_out(self, verdict, memory, received: Mapping[str, BoundaryInformation], no_load: Mapping, pieces) -> None:
         assert verdict.takes_step
         parts = self._with(received)
         if verdict.decision is Decision.FINAL:

@@ -28,6 +28,7 @@ from dsse_core.estimation.decision import (
 )
 from dsse_core.exchange.area_estimation import FAILURES, AreaEstimation
 from dsse_core.exchange.boundary_load import Loads
+from dsse_core.exchange.supply import Pieces
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.partition import Area
 from dsse_core.linear.boundary_information import BEYOND_REASON, BoundaryInformation
@@ -61,6 +62,7 @@ class RoundContent:
     no_load: BoundaryInformation | None
     power: tuple[float, ...]
     totals: Totals
+    pieces: Pieces = ()
 
 
 class AreaRound:
@@ -197,13 +199,17 @@ class AreaRound:
         elif self.estimation.is_first:
             no_load = self.estimation.no_load_for(name, self._no_load_below())
         self._sent = totals
-        return RoundContent(information, no_load, self._find_power(name), totals)
+        pieces = self.estimation.pieces_for(name, self._pieces_below())
+        return RoundContent(information, no_load, self._find_power(name), totals, pieces)
 
     def _below(self) -> Known:
         return {name: information_of(up) for name, up in self._ups.items() if up.R}
 
     def _no_load_below(self) -> Known:
         return {name: no_load_of(up) for name, up in self._ups.items() if up.no_load}
+
+    def _pieces_below(self) -> dict[str, Pieces]:
+        return {name: up.pieces for name, up in self._ups.items() if up.pieces}
 
     def _find_information(self, name: str, known: Known) -> BoundaryInformation | None:
         """Returns the information for ``name``; None without numbers."""
@@ -269,17 +275,19 @@ class AreaRound:
         neighbour as soon as it is known.
         """
         self._newest = find_newest(totals.splits)
-        known, no_load = self._below(), self._no_load_below()
+        known, no_load, pieces = self._below(), self._no_load_below(), self._pieces_below()
         if down is not None and self.towards_hub:
             known |= {self.towards_hub: information_of(down)} if down.R else {}
             no_load |= {self.towards_hub: no_load_of(down)} if down.no_load else {}
+            pieces |= {self.towards_hub: down.pieces} if down.pieces else {}
         k, estimation, lower = self.k, self.estimation, self.lower
         is_first = estimation.is_first and not estimation.failure
 
         def find_content(name: str) -> RoundContent:
             information = self._find_information(name, known) if verdict.takes_step else None
             others = {n: information for n, information in no_load.items() if n != name}
-            return RoundContent(information, estimation.no_load_for(name, others) if is_first else None, (), totals)
+            at_no_load = estimation.no_load_for(name, others) if is_first else None
+            return RoundContent(information, at_no_load, (), totals, estimation.pieces_for(name, pieces))
 
         boundaries = self._area.boundaries
         need_powers = [name for name in lower if boundaries[name].needs_powers(name)]  # at x_{k+1}
@@ -287,7 +295,7 @@ class AreaRound:
             if name not in need_powers:
                 yield name, find_content(name)  # as soon as it is known: its receiver computes meanwhile
         contents = {name: find_content(name) for name in need_powers}
-        estimation.carry_out(verdict, self._memory, known, no_load)
+        estimation.carry_out(verdict, self._memory, known, no_load, pieces)
         if down is not None and down.power and self.towards_hub:
             estimation.set_power(self.towards_hub, down.power)
         for name, content in contents.items():

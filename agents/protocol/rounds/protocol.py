@@ -306,6 +306,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
             "no_load": write_triangle(no_load.R) if no_load else (),
             "power": content.power,
             "totals": content.totals,
+            "pieces": content.pieces,
         }
 
     def _send_round(self, name: str, message: UpMessage | DownMessage) -> Publish:

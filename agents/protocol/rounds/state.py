@@ -26,6 +26,7 @@ from agents.protocol.quality import (
     Finding,
     assess,
     find_contradictions,
+    find_dead_sections,
     find_early_scan,
     find_far_scans,
     find_gone,
@@ -164,6 +165,7 @@ class RoundsState:
             checked=self._counts_all(outcome),
             undecided=self._round.undecided,
             into_children=estimation.into_children,
+            dead=tuple(estimation.dead.nonzero()[0].tolist()),
         )
         if not estimate.is_reasonable(estimation.no_load_va):
             raise ArithmeticError("the estimate is beyond reason")
@@ -178,6 +180,7 @@ class RoundsState:
         """Yields findings on the estimate and the readings from the end of a term."""
         totals = outcome.totals
         yield from self._findings_of_end(outcome)
+        yield from find_dead_sections(self._round.estimation.dead_places, totals.energised, totals.dark)
         if not totals.referenced:
             yield Finding(RELATIVE_ANGLE, "no area that is counted sees the substation or has an angle meter")
         for n in self._area.neighbours:

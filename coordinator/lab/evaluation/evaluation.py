@@ -27,6 +27,7 @@ from dsse_core.estimation.plan import EstimationPlan
 from dsse_core.files.wording import describe_unknown
 from dsse_core.grid.columns import read_column
 from dsse_core.grid.meter_table import read_meters_of
+from dsse_core.grid.switches import take_fed
 from dsse_core.limits import LARGEST_SEED, LONGEST_S
 from scenarios.faults.faults import LinkChanges, change_links
 from scenarios.scenario import Scenario, load_scenario
@@ -96,7 +97,9 @@ class Centralised:
 
 
 def estimate_centralised(scenario: Scenario, telemetry: Telemetry, plan: EstimationPlan | None = None) -> Centralised:
-    """Estimate of a control centre from the telemetry of all areas; ``plan``: of all meters, if it exists already.
+    """Estimate of a control centre from the telemetry of all areas, of the part of the grid that has supply.
+
+    ``plan``: of all meters, if it exists already.
 
     Where the plan's solver is compiled, the other functions of a single estimate are compiled as well, since
     ``dsse estimate`` never waits for a compiler.
@@ -107,7 +110,7 @@ def estimate_centralised(scenario: Scenario, telemetry: Telemetry, plan: Estimat
             values, sigmas = (read_column(readings, key, float) for key in ("value", "sigma"))
             report = process_bad_data_with_plan(plan, values, sigmas, tolerance=tolerance)
         else:
-            report = process_bad_data(scenario.network, readings, tolerance=tolerance)
+            report = process_bad_data(*take_fed(scenario.network, readings), tolerance=tolerance)
     except DsseError as error:
         return Centralised(None, str(error))
     except MemoryError as error:  # areas, each with a part of the grid, may have enough memory

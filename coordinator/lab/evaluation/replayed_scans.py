@@ -17,7 +17,7 @@ from coordinator.watch.replay.ticks import Tick
 from dsse_core.errors import DsseError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.grid.measurement import Measurement, Source
-from dsse_core.grid.switches import keep_in_service
+from dsse_core.grid.switches import take_fed
 from dsse_core.results.columns import ScanColumns, list_columns
 from dsse_core.results.results import Results
 from dsse_core.results.scans import ScanTables
@@ -44,9 +44,9 @@ class ReplayedScans:
                 if name in self._meters:
                     used[name] = Measurement(self._meters[name], value, sigma)
         scenario = self._scenario.operated(find_statuses(self._scenario.partition, states))
-        readings = keep_in_service(scenario.network, [*used.values(), *self._virtual])
+        network, readings = take_fed(scenario.network, [*used.values(), *self._virtual])
         try:
-            report = process_bad_data(scenario.network, readings, tolerance=scenario.tolerances.estimator)
+            report = process_bad_data(network, readings, tolerance=scenario.tolerances.estimator)
         except DsseError:
             report = None
         label = ScanLabel(str(tick.scan), tick.at)

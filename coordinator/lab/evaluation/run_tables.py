@@ -39,8 +39,10 @@ def make_run_tables(
 
     Areas publish standard deviations of voltages only. Those of other quantities, and of residuals, come from the
     covariance of the centralised estimate, at buses where both agree on those of all magnitudes (SAME_SIGMA); elsewhere
-    they are nan.
+    they are nan, as everywhere while a part of the grid has no supply.
     """
+    if centralised is not None and centralised.result.network.n_nodes != comparison.partition.network.n_nodes:
+        centralised = None
     state = join_states(comparison.partition, comparison.published)
     compared = {
         "true": (comparison.truth.vm, comparison.truth.va),

@@ -100,6 +100,7 @@ def _find_voltage(buses: Table, limits: OperatingLimits) -> Extent:
     order = np.argsort(~buses.fresh, kind="stable")
     at = order[np.unique(node[order], return_index=True)[1]]
     every = buses.grounded[at] if "grounded" in buses.columns else np.ones(len(at), dtype=bool)
+    every = every & (buses.vm_pu[at] != 0.0)  # without supply
     band = limits.lowest_vm, limits.highest_vm
 
     def name(k: int) -> str:

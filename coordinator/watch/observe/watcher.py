@@ -288,7 +288,7 @@ class Watcher:
             silent_after_s=self._silent_after_s(name),
             telemetry_age_s=round(state.telemetry_age + now - at, 3),
             ages_s={other: round(age + now - at, 3) for other, age in state.ages.items()},
-            lowest_vm=_extreme(state, min(state.vm, default=None)),
+            lowest_vm=_extreme(state, min((vm for vm in state.vm if vm), default=None)),  # 0: without supply
             highest_vm=_extreme(state, max(state.vm, default=None)),
             worst_meter=_find_worst(self._readings.get(name), state),
             oldest_reading_s=round(state.oldest_reading + now - at, 3),

@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 
 from agents.protocol.events import Ordered
+from coordinator.lab.evaluation.comparison import compare
+from coordinator.lab.evaluation.evaluation import estimate_centralised
 from coordinator.lab.strategy_check import check_with_strategy
 from coordinator.watch.observe.switches import find_statuses
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.bad_data import process_bad_data
+from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.grid.switches import keep_in_service
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import Scenario
@@ -24,9 +27,9 @@ from tests.support.simulated_bus import SimulatedBus, area_files_of, with_links
 GAP = 1e-9  # p.u.
 
 
-def switched33(n_area: int) -> Scenario:
-    """ieee33 with its five ties open; these, and a branch of each ring, may be operated."""
-    return tied33(n_area, (), switches=(*TIES, *ACROSS))
+def switched33(n_area: int, *further: str) -> Scenario:
+    """ieee33 with its five ties open; these, a branch of each ring, and ``further`` ones may be operated."""
+    return tied33(n_area, (), switches=(*TIES, *ACROSS, *further))
 
 
 def settle(scenario: Scenario, loss: float = 0.0) -> SimulatedBus:
@@ -119,16 +122,59 @@ def test_an_order_that_meets_a_kill_or_crosses_another_one_counts_from_the_next_
     assert find_gap(bus, operated, telemetry) < GAP
 
 
-@pytest.mark.long
-def test_a_section_without_supply_is_named_and_its_estimate_comes_back_with_the_supply():
-    bus = settle(scenario := switched33(3))
-    order(bus, {"17-18": False})
-    bus.run(2.0)
-    assert {state.quality for state in bus.states.values()} == {"unobservable"}
-    order(bus, {"17-18": True}, 2)
-    bus.run(2.0)
+def darken(scenario: Scenario, by_area: Mapping) -> dict:
+    """The readings of ``by_area``, 0 where closed branches do not lead to the substation."""
+    dead = set(scenario.network.find_unreached_buses(scenario.network.slack.bus))
+    return {a: [replace(m, value=0.0) if m.meter.bus in dead else m for m in part] for a, part in by_area.items()}
+
+
+def assert_equals_fed_centre(bus: SimulatedBus, scenario: Scenario, telemetry: Telemetry) -> None:
+    """That all areas are good, equal to the centre of the part with supply, and state 0 elsewhere."""
+    report = estimate_centralised(scenario, telemetry).report
+    comparison = compare(scenario.partition, bus.states, None, report)
     assert {state.quality for state in bus.states.values()} == {"good"}
-    assert find_gap(bus, scenario, make_telemetry(scenario)) < GAP
+    assert comparison.gap.vm_pu < GAP
+    assert np.radians(comparison.gap.va_deg) < GAP
+    totals = bus.protocols["area1"].outcome.totals
+    assert totals.objective == pytest.approx(report.objective, rel=1e-6)
+    assert totals.degrees_of_freedom == report.degrees_of_freedom
+    for area in scenario.partition.areas:
+        at = {bus_id: k for k, bus_id in enumerate(bus.states[area.name].buses)}
+        for dead in scenario.network.find_unreached_buses(scenario.network.slack.bus):
+            if dead in at:
+                assert bus.states[area.name].vm[at[dead]] == bus.states[area.name].sigma_vm[at[dead]] == 0.0
+
+
+DARK = [(3, {"28-29": False}), (5, {"7-8": False}), (8, {"7-8": False, "28-29": False}), (5, {"2-3": False})]
+
+
+@pytest.mark.parametrize("case", [(3, {"7-8": False}), *further(*DARK)])
+def test_a_section_without_supply_is_at_0_the_rest_as_if_it_were_the_grid_and_it_comes_back(case):
+    n_area, opened = case
+    bus, telemetry = settle(scenario := switched33(n_area, "2-3")), make_telemetry(scenario)
+    operated = scenario.operated(opened)
+    order(bus, opened)
+    bus.next_scan(darken(operated, telemetry.by_area))
+    bus.run(3.0)
+    assert_equals_fed_centre(bus, operated, telemetry)
+    assert any("without supply: buses" in note for state in bus.states.values() for note in state.notes)
+    order(bus, dict.fromkeys(opened, True), 2)
+    bus.next_scan(telemetry.by_area)
+    bus.run(3.0)
+    assert_equals_fed_centre(bus, scenario, telemetry)
+
+
+@pytest.mark.long
+def test_a_voltage_where_there_is_no_supply_takes_good_from_all_and_names_the_open_branches_around():
+    bus = settle(scenario := switched33(5))
+    order(bus, {"7-8": False})
+    bus.run(2.0)
+    assert {state.quality for state in bus.states.values()} == {"degraded"}
+    voltmeters = {m.id for m in scenario.meters if m.kind is MeasurementKind.VM and 8 <= m.bus <= 18}
+    note = next(note for note in bus.states["area1"].notes if "read a voltage where there is no supply" in note)
+    assert voltmeters
+    assert all(meter in note for meter in voltmeters)
+    assert "open around: 12-22, 18-33, 21-8, 7-8, 9-15; check these statuses" in note
 
 
 @pytest.mark.parametrize("strategy", ["admm", "angle-offset"])
