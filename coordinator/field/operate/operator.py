@@ -17,6 +17,7 @@ from coordinator.watch.observe.attachment import STEP_S, Attachment, attach, wai
 from coordinator.watch.observe.run_address import RunAddress
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import DsseError, InvalidInputError
+from dsse_core.grid.measurement import read_meter_id
 from dsse_core.printable import listed
 from scenarios.files.readings.rows import parse_meter
 
@@ -118,7 +119,7 @@ class Operator:
             self._give({area: _Order(meters_on=of_area) for area, of_area in new.items() if of_area})
             where = f"ids are in the area files of areas {listed(self.areas, MOST_NAMED)}"
             where += f"; not on the bus: {listed(self.absent, MOST_NAMED)}" if self.absent else ""
-            problems = [f"no area has a meter {meter!r}; {where}" for meter in unknown]
+            problems = [f"no area has a meter {meter!r}{self._find_place(meter)}; {where}" for meter in unknown]
             raise InvalidInputError(f"run {self.run}", problems)
         return {meter: owners[meter] for meter in meters}
 
@@ -263,6 +264,19 @@ class Operator:
 
     def _off_in(self, area: str) -> set[str]:
         return set(self._state_of(area).meters_off)
+
+    def _find_place(self, meter: str) -> str:
+        """Text on the bus of an unknown ``meter``: the areas that have it, and its phases; or the buses next to it."""
+        found = read_meter_id(meter)
+        assert found is not None  # it has been parsed
+        bus = found.bus
+        states = {area: self._state_of(area) for area in self.areas}
+        if here := [area for area, state in states.items() if bus in state.buses]:
+            phases = states[here[0]].phases_at(bus)
+            which = f", with phases {', '.join(phases)}" if "".join(phases) else ""
+            return f" (bus {bus} is in {listed(here, MOST_NAMED)}{which})"
+        near = sorted({b for state in states.values() for b in state.buses}, key=lambda b: (abs(b - bus), b))[:3]
+        return f" (no area shows bus {bus}; near are {', '.join(map(str, sorted(near)))})"
 
     def _owners(self) -> dict[str, str]:
         """Meters that are off: id -> area."""

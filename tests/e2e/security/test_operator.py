@@ -126,7 +126,9 @@ def test_mistakes_of_the_operator_are_one_clear_error_each(system: System):
     assert system.watcher.states["area1"].command == (0, 0, 0), "an order was given beside a wrong id"
     done = system.order("meter", "off", "vm@99")
     assert done.returncode == 2
-    assert "no area has a meter 'vm@99'; ids are in the area files of areas area1, area2" in done.stderr
+    near = "(no area shows bus 99; near are "
+    assert f"no area has a meter 'vm@99' {near}" in done.stderr
+    assert "; ids are in the area files of areas area1, area2" in done.stderr
     done = system.order("meter", "on", "vm@1")
     assert done.returncode == 2
     assert "meter 'vm@1' is not off; none is" in done.stderr

@@ -15,6 +15,7 @@ from agents.orders.order_book import OrderBook
 from agents.orders.order_file import OrderFile
 from agents.protocol.events import Ordered
 from coordinator.field.operate.operator import Operator
+from dsse_core.errors import InvalidInputError
 from tests.support.shown_states import a_state
 
 RUN = "run"
@@ -111,4 +112,16 @@ def test_an_order_is_done_when_it_is_followed_itself_not_when_another_one_is(tmp
     one, other = operator(areas, 6), operator(areas, 7)
     assert other.switch_on(["vm@2"]) == {"vm@2": "area1"}
     assert one.switch_on(["vm@1"]) == {"vm@1": "area1"}
+    assert areas.meters_off() == set()
+
+
+def test_a_meter_that_no_area_has_is_refused_with_what_is_near_it(tmp_path: Path):
+    areas = Areas(tmp_path)
+    voltages = {name: (1.0,) * 3 for name in ("vm", "va", "sigma_vm", "sigma_va")}
+    areas.states["area2"] = a_state(**voltages, buses=(671, 671, 680), phases=("a", "b", "a"))
+    with pytest.raises(InvalidInputError) as refused:
+        operator(areas, 5).switch_off(["vm@2", "vm@671.c", "vm@672"])
+    first, second = refused.value.problems
+    assert "no area has a meter 'vm@671.c' (bus 671 is in area2, with phases a, b); ids are in the area files" in first
+    assert "no area has a meter 'vm@672' (no area shows bus 672; near are 1, 671, 680); ids are" in second
     assert areas.meters_off() == set()
