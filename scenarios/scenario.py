@@ -293,7 +293,7 @@ def _build_whole(network: Network) -> tuple[Partition | None, list[str]]:
     if (problems := network.find_supply_problems()) or network.slack is None:
         return None, problems
     slack = network.slack
-    area = Area("grid", network, (), slack.bus, slack.vm, (slack.bus, slack.va))
+    area = Area("grid", network, (), slack.bus, slack.vm, (slack.bus, slack.va), entry_voltage=(1.0, slack.va))
     return Partition(network, (area,), {"grid": network.table.bus_id.tolist()}), []
 
 

@@ -65,7 +65,8 @@ class Area:
     angles. ``towards_hub``: the neighbour on the way to the hub, None in the hub. ``n_areas``: number of areas of the
     grid. ``entry_voltage``: (vm, va), p.u. and rad, of ``entry_bus`` in the unloaded grid, of its first node.
     ``no_load``: (bus, vm, va) of the boundary buses in the unloaded grid, where taps or shifts do not cancel around a
-    loop: the area alone would find other voltages. Of a network with phases all nodes, in their order.
+    loop: the area alone would find other voltages. Of an area with phases all nodes, in their order; none where it is
+    the whole grid.
     """
 
     name: str
@@ -128,7 +129,7 @@ class Area:
 
     def find_no_load(self) -> tuple[np.ndarray, np.ndarray]:
         """The area's voltages (vm, va) in the unloaded grid, (n_nodes,), p.u. and rad."""
-        if not self.network.table.nodes.is_balanced:
+        if self.no_load and not self.network.table.nodes.is_balanced:
             _, vm, va = np.array(self.no_load).reshape(-1, 3).T
             return vm, va
         held = {bus: vm for bus, vm, _ in self.no_load} | {self.entry_bus: self.entry_voltage[0]}

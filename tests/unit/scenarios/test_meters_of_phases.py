@@ -13,6 +13,7 @@ import pytest
 
 from dsse_core.errors import InvalidInputError, NotObservableError
 from dsse_core.estimation.estimator import estimate_state
+from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import MeasurementKind, Meter, Source, find_meter_problems
 from dsse_core.grid.meter_table import list_ids
 from dsse_core.grid.network import Network
@@ -352,3 +353,9 @@ def test_a_few_meters_are_named_that_cure_together_where_none_does_alone() -> No
     changes = {"measurements.voltage.buses": [650], "measurements.injection.buses": list(injections)}
     changes["measurements.flow.branches"] = ["60-632", "632-670", *added]
     check_scenario(load_scenario("ieee13", changes=changes))
+
+
+def test_the_whole_grid_without_areas_knows_its_unloaded_voltages():
+    (grid,) = load_scenario("ieee13", whole=True).partition.areas
+    (area,) = build_partition(IEEE13, {"grid": [bus.id for bus in IEEE13.buses]}).areas
+    assert np.allclose(grid.find_no_load(), area.find_no_load(), rtol=0, atol=1e-12)
