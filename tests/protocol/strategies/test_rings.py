@@ -12,7 +12,9 @@ from agents.protocol.choose import make_protocol
 from coordinator.lab.strategy_check import check_with_strategy
 from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError, PowerFlowDivergedError
 from dsse_core.estimation.bad_data import process_bad_data
+from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.link_faults import LinkFaults
+from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 from tests.support import areas_with_phases
 from tests.support.areas_with_phases import find_qualities
@@ -116,6 +118,44 @@ def test_phases_of_ties_are_carried_each_by_itself(closed, tmp_path):
         assert load_area_file(path) == content
     bus, report = settle(scenario)
     assert find_qualities(bus) == dict.fromkeys(bus.files, "good")
+    assert areas_with_phases.find_gap(bus, scenario.network, report) < GAP
+    assert_same_decisions(bus, report)
+
+
+LISTED = {  # no bus twice; the branches between areas
+    "ieee13": (
+        [[1, 2, 60, 632, 633, 634, 645, 646, 650], [670, 671, 675, 680], [611, 652, 684]],
+        ("632-670", "671-684"),
+    ),
+    "ieee33": ([[*range(1, 7), *range(19, 26)], [*range(7, 19)], [*range(26, 34)]], ("6-7", "6-26")),
+}
+UPPER = {"ieee13": ("area1", "area2"), "ieee33": ("area1", "area1")}  # the areas at their from buses
+LOWER = {"ieee13": ("area2", "area3"), "ieee33": ("area2", "area3")}
+SIDES = [(name, side) for name in LISTED for side in (UPPER, LOWER)]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", SIDES)
+def test_currents_between_areas_are_held_by_either_side(case, tmp_path):
+    """The meter stands at the bus of the upper area; bus 671 has loads between phases."""
+    name, side = case
+    buses, between = LISTED[name]
+    held = dict(zip(between, side[name], strict=True))
+    areas = {f"area{k}": [b for b in between if held[b] == f"area{k}"] for k in (1, 2, 3)}
+    text = [f'version = 1\ndescription = "three areas"\nnetwork = "{name}"']
+    text += [f"[areas.{a}]\nbuses = {own}\nholds = {ids}" for own, (a, ids) in zip(buses, areas.items(), strict=True)]
+    text += [
+        '[measurements]\nfloor_kva = 1.0\nzero_injection = "virtual"',
+        f"voltage = {{ buses = {buses[1]}, sigma_percent = 0.5 }}",
+        f"current = {{ branches = {list(between)}, sigma_percent = 1.0 }}",
+        'injection = { buses = "all", sigma_percent = 10.0 }\n[telemetry]\nnoise = true',
+    ]
+    (path := tmp_path / "scenario.toml").write_text("\n".join(text))
+    scenario = load_scenario(path)
+    currents = [m for m in scenario.meters if m.kind is MeasurementKind.CURRENT]
+    assert {m.branch: scenario.partition.area_of_meter(m) for m in currents} == held
+    bus, report = settle(scenario)
+    assert {state.quality for state in bus.states.values()} == {"good"}
     assert areas_with_phases.find_gap(bus, scenario.network, report) < GAP
     assert_same_decisions(bus, report)
 
