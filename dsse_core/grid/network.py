@@ -431,6 +431,7 @@ def _find_problems_of_phases(network: Network) -> Iterable[str]:
     for bus, phases in texts.items():
         if not read_phases([phases])[0]:
             yield f"bus {bus}: phases {explain_phases(phases)}"
+    sound = _find_sound_phases(network)
     for branch in network.branches:
         if (primitive := branch.primitive) is None:
             if texts.get(branch.from_bus) or texts.get(branch.to_bus):
@@ -439,20 +440,32 @@ def _find_problems_of_phases(network: Network) -> Iterable[str]:
         ports = 0
         for bus, phases in ((branch.from_bus, primitive.from_phases), (branch.to_bus, primitive.to_phases)):
             ports += len(list_phases(phases))
-            if bus in texts and (missing := sorted({*list_phases(phases)} - {*list_phases(texts[bus])})):
-                yield f"branch {branch.id} has phase {', '.join(missing)} at bus {bus}, which lacks it"
+            if bus in sound and (missing := sorted({*list_phases(phases)} - {*list_phases(sound[bus])})):
+                at = f"branch {branch.id} has phase {', '.join(missing)} at bus {bus}, which lacks it"
+                yield f"{at}; leave it out of the branch, or add it to the bus"
         for y in (primitive.y, primitive.charging):
             if y.shape != (ports, ports) or not np.isfinite(y).all():
                 yield f"branch {branch.id}: admittances over its {ports} ports are no finite {ports} x {ports} matrix"
 
 
+def _find_sound_phases(network: Network) -> dict[int, str]:
+    """Bus -> its phases, but of buses whose phases are refused: what stands there is no further mistake."""
+    has_phases = any(bus.phases for bus in network.buses)
+    return {
+        bus.id: bus.phases for bus in network.buses if read_phases([bus.phases])[0] and (bus.phases or not has_phases)
+    }
+
+
 def _find_problems_of_loads(network: Network) -> Iterable[str]:
+    sound = _find_sound_phases(network) if network.loads else {}
     if not network.table.nodes.is_balanced:
         stated = network.table.bus_id[network.table.load != 0].tolist()
         yield from (f"bus {bus} has phases, and a load of its own; state the load by its legs" for bus in stated)
     for load in network.loads:
-        row, wanted = network.table.rows.row_of(load.bus), list_phases(load.phases)
-        there = network.buses[row].phases if row >= 0 else ""
+        is_there, wanted = network.table.rows.row_of(load.bus) >= 0, list_phases(load.phases)
+        there = sound.get(load.bus, "")
+        if is_there and load.bus not in sound:
+            continue
         if not there:
             yield f"a load with phases {load.phases} stands at bus {load.bus}, which has none"
         elif len(wanted) not in (1, 2) or len(set(wanted)) < len(wanted) or not {*wanted} <= {*list_phases(there)}:

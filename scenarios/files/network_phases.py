@@ -246,7 +246,10 @@ def _read_bank(table: TransformerTable, place: _Place) -> Primitive:
     before, windings = len(place.problems), table.windings
     if len(windings) != 2:
         joined = listed(dict.fromkeys(winding.bus for winding in windings))
-        problem = f"{len(windings)} windings at bus {joined}; a bank has two, and no element joins three buses"
+        problem = (
+            f"{len(windings)} windings at bus {joined}; a bank has two, and no element joins three buses; "
+            f"give a bank from bus {windings[0].bus} to each other one"
+        )
         place.refuse("windings", problem)
         return _without_value(windings[0].phases, windings[-1].phases)
     at_from, at_to = (_read_side(winding, table, k, place) for k, winding in enumerate(windings))

@@ -140,7 +140,8 @@ def test_mistakes_of_admittances_and_legs_are_named(tmp_path: Path):
     (shape,) = spoil(tmp_path / "area.json", content, change_shape)
     assert shape.startswith("network.branch.primitive[1].y: must be two square matrices of one size")
     branch, load = spoil(tmp_path / "area.json", content, change_phases)
-    assert branch == "network: branch 671-684 has phase b at bus 671, which lacks it"
+    at = "network: branch 671-684 has phase b at bus 671, which lacks it"
+    assert branch == f"{at}; leave it out of the branch, or add it to the bus"
     assert load == "network: a load at bus 611: phases is 'b'; name one or two of c"
 
 

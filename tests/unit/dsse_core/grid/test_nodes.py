@@ -72,7 +72,11 @@ def test_a_balanced_network_has_one_node_per_bus_in_the_same_order(meshed: Netwo
         ("", "abc", "bus 645 has no phases, and others have"),
         ("xy", "bc", "bus 645: phases is 'xy'; give some of a, b, c, s1, s2"),
         ("cb", "bc", "bus 645: phases is 'cb'"),
-        ("b", "bc", "branch 632-645 has phase c at bus 645, which lacks it"),
+        (
+            "b",
+            "bc",
+            "branch 632-645 has phase c at bus 645, which lacks it; leave it out of the branch, or add it to the bus",
+        ),
         ("bc", "", "branch 632-645 joins buses with phases; give it admittances over its ports"),
     ],
 )

@@ -270,7 +270,7 @@ def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
         (('phases = "ac", r_ohm', 'phases = "ca", r_ohm'), "branch[2].phases: is 'ca'; give some of a, b, c, s1"),
         (
             ('phases = "ac", r_ohm = [[2.4], [0.6, 3.6]]', 'phases = "bc", r_ohm = [[2.4], [0.6, 3.6]]'),
-            "branch 2-3 has phase b at bus 3, which lacks it",
+            "branch 2-3 has phase b at bus 3, which lacks it; leave it out of the branch, or add it to the bus",
         ),
         (
             ('phases = "ac", r_ohm', "r_ohm"),
@@ -364,7 +364,8 @@ def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
                 "taps = [1.0, 1.02, 1.05] },",
                 'taps = [1.0, 1.02, 1.05] }, { bus = 3, phases = "ac", kv = 12.0, connection = "a,c" },',
             ),
-            "transformer[1].windings: 3 windings at bus 2, 4, 3; a bank has two, and no element joins three buses",
+            "transformer[1].windings: 3 windings at bus 2, 4, 3; a bank has two, and no element joins three buses; "
+            "give a bank from bus 2 to each other one",
         ),
         (
             ("id = 2, base_kv = 12.0,", "id = 2, base_kv = 12.0, p_load_mw = 1.0,"),
@@ -385,6 +386,11 @@ def test_all_mistakes_are_named_at_once(tmp_path: Path) -> None:
         "load[1].phases",
         "branch 2-9 ends at bus 9, which is not defined",
     ]
+
+
+def test_what_stands_at_a_bus_whose_phases_are_refused_is_no_further_mistake(tmp_path: Path) -> None:
+    (problem,) = problems_of(tmp_path, ('phases = "ac", b_shunt', 'phases = "acn", b_shunt'))
+    assert problem.startswith("bus 3")
 
 
 def test_a_phase_that_coupling_alone_reaches_has_no_supply(tmp_path: Path) -> None:
