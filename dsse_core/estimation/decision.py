@@ -173,7 +173,8 @@ class Memory:
     was found. That meter is in use again, and no other is taken out. ``steps``: number of steps since the last start.
     ``share``: the part that was taken of the last step. ``before``: the size of the last but one step where it can be
     compared with the last, else 0. ``share_before``, ``square_before``: the share of the last but one step, and its
-    product with itself, 0 where that step was corrected. ``stepped``: the last step is not corrected.
+    product with itself, 0 where that step was corrected. ``objective``: J before the last step. ``stepped``: the last
+    step is not corrected.
     ``from_flat_start``: the start of the scan has led to no end with these meters. ``spent``: number of steps of all
     starts before.
     """
@@ -191,6 +192,7 @@ class Memory:
     spent: int = 0
     share_before: float = 1.0
     square_before: float = 0.0
+    objective: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -238,7 +240,7 @@ def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tupl
         )
         verdict, share, before = gauss_newton.next_step(
             memory.steps, memory.share, memory.stepped, memory.before, totals.step, flows_known, memory.uses_currents,
-            totals.objective, limit, tolerance, MOST_STEPS, coming,
+            totals.objective, totals.objective - memory.objective, limit, tolerance, MOST_STEPS, coming,
         )  # fmt: skip
     match verdict:
         case gauss_newton.SHORTEN:
@@ -262,6 +264,7 @@ def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tupl
         stepped=True,
         share_before=memory.share,
         square_before=square,
+        objective=totals.objective,
     )
     return memory, Verdict(Decision.STEP, share)
 

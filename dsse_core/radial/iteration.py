@@ -91,7 +91,7 @@ def iterate(parent, place, Y, z, w, states, has_currents, tolerance, most_steps,
     v, va, v_to, va_to, last = states
     above, factor, more, block, step = work
     flows_known, stepped, end = not has_currents, False, GO_ON
-    steps, share, largest, before = 0, 1.0, 0.0, 0.0
+    steps, share, largest, before, J_before = 0, 1.0, 0.0, 0.0, 0.0
     share_before, square_before, square, turn = 1.0, 0.0, 0.0, 0.0
     while end == GO_ON:
         J = eliminate(1, n, parent, Y, z, w, v, va, flows_known, STEP, place, above, factor, more, block, 0.0)[2]
@@ -101,8 +101,10 @@ def iterate(parent, place, Y, z, w, states, has_currents, tolerance, most_steps,
         coming = choose_share(steps, uses_currents, share_before, square_before, square, turn)
         share_before, square_before = share, square if stepped else 0.0
         end, share, before = next_step(
-            steps, share, stepped, before, largest, flows_known, has_currents, J, limit, tolerance, most_steps, coming
-        )
+            steps, share, stepped, before, largest, flows_known, has_currents, J, J - J_before, limit, tolerance,
+            most_steps, coming,
+        )  # fmt: skip
+        J_before = J
         if end == LOST:
             break
         dva, dvm, finite = descend(0, n, parent, place, factor, v, va, step, share, v_to, va_to)

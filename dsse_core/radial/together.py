@@ -127,7 +127,7 @@ def _iterate(parent, place, Y, z, w, states, tolerance, limit, work, steps):
     v, va, v_to, va_to = states
     above, factor, more, block, step = work
     totals = np.zeros((4, LANES))  # J, |dva|, |dvm|, share of the step
-    together, largest, before = as_lanes(totals), np.zeros(LANES), np.zeros(LANES)
+    together, largest, before, J_before = as_lanes(totals), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     verdict = np.full(LANES, GO_ON)
     for taken in range(FULL_STEPS):
         J = eliminate(1, n, parent, Y, z, w, v, va, False, STEP, place, above, factor, more, block, 0.0)[2]
@@ -146,9 +146,10 @@ def _iterate(parent, place, Y, z, w, states, tolerance, limit, work, steps):
             if verdict[k] != GO_ON:
                 continue
             dva, dvm, steps[k] = totals[1, k], totals[2, k], taken + 1
-            of_step = taken, 1.0, taken > 0, before[k], largest[k], True, False, totals[0, k], limit[k], tolerance
-            verdict[k], share, before[k] = next_step(*of_step, FULL_STEPS, 1.0)
-            largest[k], turn = max(dva, dvm), max(turn, dva)
+            change = totals[0, k] - J_before[k]
+            of_step = taken, 1.0, taken > 0, before[k], largest[k], True, False, totals[0, k], change, limit[k]
+            verdict[k], share, before[k] = next_step(*of_step, tolerance, FULL_STEPS, 1.0)
+            largest[k], turn, J_before[k] = max(dva, dvm), max(turn, dva), totals[0, k]
             if correct_step(share, True, True, dva, dvm)[0] != GO_ON:
                 return 0
             waiting += verdict[k] == GO_ON

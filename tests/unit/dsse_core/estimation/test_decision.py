@@ -83,7 +83,9 @@ def test_a_step_beyond_all_states_begins_anew_at_the_flat_start_and_then_ends():
 
 
 def test_nothing_is_removed_where_the_last_step_has_brought_j_below_the_limit():
-    memory, decided = decide(Memory(steps=3, before=1e-3, stepped=True), totals(1e-6, objective=2 * LIMIT))
+    memory, decided = decide(
+        Memory(steps=3, before=1e-3, stepped=True, objective=2 * LIMIT), totals(1e-6, objective=2 * LIMIT)
+    )
     assert decided.decision is Decision.EVALUATE
     worst = (("p_flow@1:1-2", 5.0),)
     assert decide(memory, totals(1e-9, objective=LIMIT / 2, worst=worst))[1].decision is Decision.FINAL
@@ -96,7 +98,7 @@ def test_without_an_estimate_the_meter_that_was_taken_out_last_comes_back_and_st
     for lost in (totals(2 * LARGEST_STEP), totals(failed=("a1",))):
         memory, decided = decide(without, lost)
         assert (decided.decision, memory) == (Decision.ANEW, Memory(removed=("a",), kept="b", spent=3))
-    memory = replace(memory, steps=3, before=1e-3, stepped=True)
+    memory = replace(memory, steps=3, before=1e-3, stepped=True, objective=2 * LIMIT)
     assert decide(memory, totals(1e-6, objective=2 * LIMIT))[1] == verdict.Verdict(Decision.FINAL, with_step=True)
     memory, decided = decide(memory, totals(2 * LARGEST_STEP))
     kept = Memory(removed=("a",), kept="b", from_flat_start=True, spent=6)

@@ -19,9 +19,16 @@ from dsse_core.gauss_newton import (
 )
 
 
-def is_last(largest: float, before: float, with_currents: bool, tolerance: float) -> bool:
+def is_last(largest: float, before: float, with_currents: bool, tolerance: float, change: float = 0.0) -> bool:
     """The step to come is the last one, with J far below its limit."""
-    options = {"objective": 1.0, "limit": 2.0, "tolerance": tolerance, "most_steps": 25, "coming": 1.0}
+    options = {
+        "objective": 1.0,
+        "change": change,
+        "limit": 2.0,
+        "tolerance": tolerance,
+        "most_steps": 25,
+        "coming": 1.0,
+    }
     verdict, _, _ = next_step(3, 1.0, True, before, largest, True, with_currents, **options)
     return verdict == FINAL
 
@@ -51,7 +58,7 @@ def test_quadratic_convergence_ends_one_step_after_a_short_one():
 
 def test_a_warm_start_ends_with_the_third_step_unless_the_second_is_above_what_the_least_rate_allows():
     """Six messages per edge, or eight: steps of random feeders whose loads have moved by 10 % since the last scan."""
-    assert pytest.approx(2e-5) == REST / LEAST_RATE**2
+    assert pytest.approx(1e-5) == REST / LEAST_RATE**2
     assert ends(4.2e-3, 8.9e-6, 1e-10) == 2  # the third is taken along
     assert ends(5.5e-3, 3.2e-5, 6.8e-9) == 3
 
@@ -64,6 +71,13 @@ def test_slow_convergence_is_not_taken_for_the_end():
 def test_rounding_does_not_keep_it_from_ending():
     """Steps that shrink to 5e-8 and then no more, as over branches of 1e-8 p.u."""
     assert ends(1e-2, 1e-4, 5e-8, 5e-8, 4e-8) == 3
+    assert ends(8e-10, 8.1e-10) == 2  # from the fixed point of a scan before
+
+
+def test_a_step_that_has_moved_j_much_is_not_the_last_but_one_however_small_its_rate():
+    """IEEE 13: 1.9e-5 after 1.2e-2, which moved J by 0.7 of its limit; the next step was 6.1e-6."""
+    assert is_last(9e-6, 4e-3, False, LAST_STEP, change=5e-4)  # of a limit of 2
+    assert not is_last(3.9e-6, 2e-3, False, LAST_STEP, change=-1.6e-2)
 
 
 def test_one_small_rate_does_not_promise_that_the_next_one_is_as_small():
@@ -79,17 +93,17 @@ def test_with_current_magnitudes_the_step_to_come_itself_is_what_may_be_left():
 
 @pytest.mark.parametrize(("tolerance", "count"), [(1e-5, 3), (1e-9, 4)])
 def test_a_smaller_tolerance_bounds_the_step_to_come(tolerance, count):
-    assert ends(1e-3, 3e-5, 1e-6, 1e-8, tolerance=tolerance) == count
+    assert ends(1e-3, 3e-5, 8e-7, 8e-9, tolerance=tolerance) == count
 
 
 def test_nothing_ends_while_j_lies_beside_its_limit():
-    def verdict(objective: float, largest: float) -> int:
-        options = {"tolerance": LAST_STEP, "most_steps": 25, "coming": 1.0}
-        return next_step(3, 1.0, True, 1e-3, largest, True, False, objective=objective, limit=20.0, **options)[0]
+    def verdict(objective: float, change: float) -> int:
+        options = {"limit": 20.0, "tolerance": LAST_STEP, "most_steps": 25, "coming": 1.0}
+        return next_step(3, 1.0, True, 1e-3, 1e-6, True, False, objective=objective, change=change, **options)[0]
 
-    assert (verdict(19.0, 1e-6), verdict(21.0, 1e-6)) == (FINAL, EVALUATE)
-    assert verdict(20.001, 1e-6) == gauss_newton.GO_ON
-    assert verdict(20.001, 1e-9) == EVALUATE
+    assert (verdict(19.0, 0.05), verdict(21.0, 0.05)) == (FINAL, EVALUATE)
+    assert verdict(20.001, -0.002) == gauss_newton.GO_ON
+    assert verdict(20.001, -0.0005) == EVALUATE
 
 
 def test_the_compiled_step_control_says_the_same_as_the_plain_one_of_100000_iterations():
@@ -101,6 +115,7 @@ def test_the_compiled_step_control_says_the_same_as_the_plain_one_of_100000_iter
     steps, (stepped, known, currents) = rng.integers(0, 30, count), rng.random((3, count)) < 0.7
     share, J = rng.choice([0.5, 1.0], count), 20 + rng.choice([1e-3, 1e-1, 10.0], count) * rng.standard_normal(count)
     before = np.where(rng.random(count) < 0.2, 0.0, 10.0 ** rng.uniform(-12, 1, count))
+    change = 10.0 ** rng.uniform(-12, 3, count) * rng.choice([-1, 1], count)
     ends, shares = set(), set()
     products = np.where(rng.random((3, count)) < 0.1, 0.0, 10.0 ** rng.uniform(-4, 0, (3, count)))
     products[2] *= rng.choice([-1, 1], count)
@@ -114,7 +129,7 @@ def test_the_compiled_step_control_says_the_same_as_the_plain_one_of_100000_iter
         shares.add(coming)
         of_state = (
             int(steps[k]), float(share[k]), bool(stepped[k]), float(before[k]), largest, bool(known[k]),
-            bool(currents[k]), float(J[k]), 20.0, 1e-5, 25, coming,
+            bool(currents[k]), float(J[k]), float(change[k]), 20.0, 1e-5, 25, coming,
         )  # fmt: skip
         plain = next_step(*of_state)
         assert radial_iteration.next_step(*of_state) == plain
