@@ -110,7 +110,9 @@ def _read_segment(folder: Path, segment: str, run: str, notes: list[str]) -> lis
                 count += 1
                 try:
                     found = _whose(row), row["time"], _to_state(row, run, texts)
-                    states.take((count,), found, 1 + sum(len(row[name]) for name, _ in _TABLES.values()) // LETTERS)
+                    states.take(
+                        (count,), found, 1 + sum(len(row[name] or "") for name, _ in _TABLES.values()) // LETTERS
+                    )
                 except ValueError as error:
                     where = str(table_of(folder, table, segment))
                     raise InvalidInputError(where, [f"row {count}: {error}"]) from None

@@ -136,6 +136,9 @@ def test_mistakes_of_the_operator_are_one_clear_error_each(system: System):
     assert done.returncode == 2, "one of two meters is unknown"
     done = system.order("meter", "on", "vm@1")
     assert "meter 'vm@1' is not off; none is" in done.stderr, "a rejected command has switched a meter off"
+    done = system.order("switch", "open", "1-2", "--json")
+    assert done.returncode == 2
+    assert "no area holds a switch '1-2'; there is no switch" in done.stderr
     assert "Traceback" not in done.stderr
     done = system.order("stop", "folder")
     assert done.returncode == 2

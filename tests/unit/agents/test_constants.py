@@ -22,7 +22,7 @@ SOURCES = (
     *(f"dsse_core/estimation/{name}.py" for name in ("decision", "residuals", "bad_data")),
 )
 PLACES = {"boundary_information.VM", "boundary_information.VA"}
-NO_PARAMETERS = PLACES | {"boundary_information.BEYOND_REASON"}  # a limit of the wire
+NO_PARAMETERS = PLACES | {"boundary_information.BEYOND_REASON", "supply.FED"}  # a limit and a code of the wire
 UNITS = {"%": 0.01, "ms": 1e-3}
 
 

@@ -44,7 +44,7 @@ def make_watch(ratio: float) -> tuple[GatewayWatch, Any]:
     def count(scan: int, time: float | None = None) -> Mapping[str, str]:
         at = float(scan) if time is None else time
         read = Read(senders, Ages(at, {m.id: at for m in METERS}))
-        watch.weigh(scan, read, None)  # type: ignore[arg-type]
+        watch.weigh(scan, AREA.area, read, None)  # type: ignore[arg-type]
         return watch.mistaken
 
     return watch, (count, evidence)
@@ -66,5 +66,5 @@ def test_a_scan_and_a_reading_count_once():
 def test_a_gateway_that_sends_no_more_is_forgotten():
     watch, (count, _) = make_watch(2 * THRESHOLD)
     assert count(1) == {"two": "sign"}
-    watch.weigh(2, Read({"one": [METERS[0].id]}, Ages(2.0, {METERS[0].id: 2.0})), None)  # type: ignore[arg-type]
+    watch.weigh(2, AREA.area, Read({"one": [METERS[0].id]}, Ages(2.0, {METERS[0].id: 2.0})), None)  # type: ignore[arg-type]
     assert watch.mistaken == {}

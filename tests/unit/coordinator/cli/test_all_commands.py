@@ -92,7 +92,7 @@ JSON = {
     "compile": ("compile", "kept_in"),
     "replay": ("replay .", "agrees"),
 }
-OF_A_SYSTEM = {"run", "watch", "flows", "meter off", "meter on", "scan", "stop"}
+OF_A_SYSTEM = {"run", "watch", "flows", "meter off", "meter on", "switch open", "switch close", "scan", "stop"}
 """Tested in tests/e2e/terminal and tests/e2e/security/test_operator.py, where there is one."""
 
 
