@@ -78,6 +78,7 @@ def compared(monkeypatch):
     return comparison.compare([33], ["full"], OURS, PEERS, comparison.Limits(1, 1.0, 8.0), lambda _: None)
 
 
+@pytest.mark.long
 def test_a_peer_has_a_row_with_its_ratio_to_every_back_end_of_ours_or_how_to_install_it(compared):
     assert [row.method for row in compared] == [method.name for method in (*OURS, *PEERS)]
     for row in compared:
@@ -105,7 +106,10 @@ def test_table_and_plot_are_written(run, results):
 
 
 @pytest.mark.parametrize("method", SAME_MINIMUM, ids=lambda method: method.name)
-@pytest.mark.parametrize(("n_bus", "set_name"), [(33, "dist"), (60, "full"), (60, "full-sharp")])
+@pytest.mark.parametrize(
+    ("n_bus", "set_name"),
+    [(33, "dist"), *(pytest.param(60, name, marks=pytest.mark.long) for name in ("full", "full-sharp"))],
+)
 def test_a_method_finds_the_minimum(method, n_bus, set_name):
     pytest.importorskip(MODULE.get(method.package, method.package))
     case = build_case(build_network(n_bus), set_name)
@@ -153,6 +157,7 @@ def test_a_wrong_option_is_rejected_with_what_to_give(option, value):
     assert "give numbers of buses" in finished.stderr or "choose from full" in finished.stderr
 
 
+@pytest.mark.long
 def test_a_batch_is_timed_on_every_number_of_threads_and_no_scan_of_ours_fails():
     pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
     rows = measure_batches(build_case(build_network(33), "full"), runs=1)

@@ -11,6 +11,7 @@ from benchmarks.recorder_kills import RecorderRun, count_holes, find_due
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("benchmarks")]
 
 
+@pytest.mark.long
 def test_a_recording_of_many_scans_lacks_nothing(tmp_path: Path) -> None:
     seen = record_long(tmp_path, 12)
     assert seen["scans played back"] == 12
@@ -18,6 +19,7 @@ def test_a_recording_of_many_scans_lacks_nothing(tmp_path: Path) -> None:
     assert seen["states that differ"] == 0
 
 
+@pytest.mark.long
 def test_what_a_recording_lacks_is_a_failure(tmp_path: Path) -> None:
     seen = record_long(tmp_path, 8)
     assert "the recording lacks something" not in find_failures(seen)
