@@ -11,11 +11,11 @@ are turned into as many as x_b has variables, and go up. Between pieces there ar
 that tie them, a piece would cost twice as much. What the last piece leaves are rows about the area's boundaries, as
 those of one piece would be. A small area is one piece.
 
-**Exact rows** weigh 1e9 times as much as others, so they are obeyed first (``eliminate_exact``): their variables are
-substituted in the other rows, and only what is left of these is turned. Their pivots may be far apart: beside a heavy
-one, a light one of size e becomes ``e + rounding`` and is known to ``rounding / e`` only. A row with a pivot below
-LIGHT of the largest goes up with the piece's variables that it still has, and a piece above, which has more of the
-exact rows, eliminates them.
+**Exact rows** weigh 1e9 times as much as others, so their rounding must not count as information. They go up apart from
+other rows, as few as possible of them with variables of a piece (``turn_alone``). Their pivots may be far apart: beside
+a heavy one, a light one of size e becomes ``e + rounding`` and is known to ``rounding / e`` only. A row with a pivot
+below LIGHT of the largest goes up with the piece's variables that it still has, and a piece above, which has more of
+the exact rows, eliminates them.
 
 **Covariances** go down: with ``L_b L_b'`` that of x_b, L of the piece's variables is
 
@@ -40,10 +40,11 @@ from dsse_core.grid.columns import split_by
 from dsse_core.grid.network_table import NetworkTable
 from dsse_core.grid.radial_order import walk_graph
 from dsse_core.linear.interface import Matrix
-from dsse_core.linear.reflections import Eliminated, Exact, eliminate, eliminate_beside, eliminate_exact
+from dsse_core.linear.reflections import Eliminated, eliminate, turn_alone
 
 PIECE = 20  # nodes, or up to twice as many: with 10 or 60 a step takes a quarter longer
 ENOUGH = 1e6  # times the root of the least information: a pivot above it needs no row of next to no weight
+LIGHT = 1e-7  # of the largest pivot of exact rows: lighter than other rows, which have sigmas of some 1e-3
 
 
 @dataclass(frozen=True)
@@ -267,38 +268,36 @@ class Pieces:
         A row of next to no weight for each variable joins them only where one is not determined: these rows would
         double the work.
         """
-        (found, rows, columns, kept), n, n_rows = self._take_exact(joined), joined.n, len(joined.A)
-        n -= found.n_late
-        eliminated, own = eliminate_beside(found, rows, n), columns[:n]
+        A, columns, n, exact, below = joined
+        over, n_rows, kept = A[:0], len(A), np.arange(len(A))
+        if len(exact):
+            A[exact], above = turn_alone(A[exact], n, LIGHT)
+            light = exact[above:]
+            if (is_late := A[light, :n].any(axis=0)).any():
+                order = np.argsort(is_late, kind="stable")  # late ones last
+                A[:, :n], columns = A[:, order], np.concatenate([columns[order], columns[n:]])
+                n -= int(is_late.sum())
+            over, kept = A[light], np.delete(kept, light)
+            A = A[kept]
+        eliminated, own = eliminate(A, n), columns[:n]
         if eliminated.least_pivot < ENOUGH * self._least[own].max(initial=0.0):
-            eliminated = eliminate_beside(found, np.concatenate([rows, self._find_least_rows(columns, own)]), n)
+            eliminated = eliminate(np.concatenate([A, self._find_least_rows(columns, own)]), n)
             kept, n_rows = np.append(kept, n_rows + np.arange(n)), n_rows + n
-        packed, over = _pack(eliminated.rows), found.light[:, n:]
-        of_over = _pack(over)
+        packed, of_over = _pack(eliminated.rows), _pack(over[:, n:])
         up = _Up(
             piece=k,
             late=columns[n : len(columns) - len(piece.others)],
             columns=columns[n:],
-            exact=over if of_over is None else of_over.heads,
+            exact=over[:, n:] if of_over is None else of_over.heads,
             others=eliminated.rows if packed is None else packed.heads,
         )
-        return _Done(own, columns[n:], eliminated, packed, kept, n_rows, joined.below), up
+        return _Done(own, columns[n:], eliminated, packed, kept, n_rows, below), up
 
     def _eliminate_last(self, joined: _Joined) -> _Done:
-        """The last piece eliminated; its light exact rows join the others, as none is above to take them."""
-        (found, rows, columns, kept), n, n_rows = self._take_exact(joined), joined.n, len(joined.A)
-        kept, rows = np.append(kept, n_rows + np.arange(len(found.light))), np.concatenate([rows, found.light])
-        eliminated = eliminate_beside(found, rows, n)
-        return _Done(columns[:n], columns[n:], eliminated, None, kept, n_rows + len(found.light), joined.below)
-
-    def _take_exact(self, joined: _Joined) -> tuple[Exact, np.ndarray, np.ndarray, np.ndarray]:
-        """Elimination by exact rows of a piece; the other rows in its order of columns; these; places of rows."""
-        A, columns, n, exact, _ = joined
-        if not len(exact):
-            return Exact(np.arange(n), A[:0], A[:0], 0), A, columns, np.arange(len(A))
-        found, kept = eliminate_exact(A[exact], n), np.delete(np.arange(len(A)), exact)
-        order = np.append(found.order, np.arange(n, A.shape[1]))
-        return found, A[np.ix_(kept, order)], np.append(columns[found.order], columns[n:]), kept
+        A, columns, n, exact, below = joined
+        if len(exact):
+            A[exact], _ = turn_alone(A[exact], n)
+        return _Done(columns[:n], columns[n:], eliminate(A, n), None, None, len(A), below)
 
     def _find_least_rows(self, columns: np.ndarray, of: np.ndarray) -> np.ndarray:
         """A row of next to no weight for each of the columns ``of``, among ``columns`` and residuals."""
@@ -338,6 +337,8 @@ class Reduction:
 
     def substitute(self, dy: np.ndarray) -> np.ndarray:
         """dx, the variables within, for ``dy``, those of the boundaries and both shifts."""
+        if len(self._done) == 1:
+            return self._done[0].eliminated.substitute(dy)
         dx = np.concatenate([np.zeros(self._n_within), dy])
         for done in reversed(self._done):
             dx[done.own] = done.eliminated.substitute(dx[done.others])
@@ -359,7 +360,7 @@ class Reduction:
                 of_others = _narrow(root[place[done.others]])
             of_own = done.eliminated.spread(of_others)
             n, both = len(of_own), np.zeros((len(of_own) + len(of_others), of_own.shape[1]))
-            both[:n], both[n:, of_own.shape[1] - of_others.shape[1] :] = of_own, of_others
+            both[:n], both[n:, n:] = of_own, of_others
             roots[k] = np.concatenate([done.own, done.others]), both
             yield k, n, *roots[k]
 
@@ -371,7 +372,7 @@ class Reduction:
         left, parts = B.T.copy(), []
         for done in self._done:
             part = done.eliminated.reflect(left[done.own])
-            parts.append(part[done.eliminated.n_exact :])
+            parts.append(part)
             left[done.others] -= done.eliminated.turned[:, :-1].T @ part
         return np.concatenate(parts).T, left[self._n_within :].T
 

@@ -16,7 +16,7 @@ from dsse_core.linear.dense import DenseRows
 from dsse_core.linear.interface import NOT_YET, Received
 from dsse_core.linear.pieces import divide_tree
 from dsse_core.linear.reduced import ReducedSolver
-from dsse_core.linear.reflections import eliminate_beside, eliminate_exact, turn_alone
+from dsse_core.linear.reflections import turn_alone
 from dsse_core.linear.sparse import SparseRows
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from tests.support.centre import assert_goes_the_centres_way, assert_is_the_centres, trace_centre
@@ -167,14 +167,6 @@ def test_an_exact_row_without_variables_of_a_piece_keeps_none_by_rounding() -> N
 
 
 def test_a_light_exact_row_is_told_from_heavy_ones_and_keeps_its_variable() -> None:
-    found = eliminate_exact(1e9 * np.array([[1e6, 0.0, 1.0, 0.0], [0.0, 1e-3, 1.0, 0.0]]), 2)
-    assert (found.order.tolist(), len(found.heads), found.n_late) == ([0, 1], 1, 1)
-    np.testing.assert_allclose(abs(found.light), [[0.0, 1e6, 1e9, 0.0]])
-
-
-def test_exact_rows_are_obeyed_beside_a_heavier_row_of_the_same_variables() -> None:
-    exact = np.array([[1e7 / 3, 1e13 / 7, 1e13 / 9]])  # of dx within, dy, residual: 1e6 times as much of dy
-    rows = np.array([[1e9, 0.0, 0.0], [1e2 / 3, 1e2 / 11, 0.0]])
-    found = eliminate_beside(eliminate_exact(exact, 1), rows, 1)
-    expected = rows[:, 1:] - rows[:, :1] * exact[:, 1:] / exact[0, 0]
-    np.testing.assert_allclose(found.rows, expected, rtol=1e-14)
+    turned, above = turn_alone(1e9 * np.array([[1e6, 0.0, 1.0, 0.0], [0.0, 1e-3, 1.0, 0.0]]), 2, pieces.LIGHT)
+    assert above == 1
+    np.testing.assert_allclose(abs(turned[1]), [0.0, 1e6, 1e9, 0.0])
