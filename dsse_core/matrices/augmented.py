@@ -213,8 +213,11 @@ class AugmentedFactor:
             try:
                 return self._pattern.factor(self._tableau, self._known)
             except RuntimeError:  # exactly singular
-                self._below = raise_damping(self._below)
-                self._pattern.put_below(self._tableau, self._n_meas, -self._below)
+                self._raise_damping()
+
+    def _raise_damping(self) -> None:
+        self._below = raise_damping(self._below)
+        self._pattern.put_below(self._tableau, self._n_meas, -self._below)
 
     @property
     def elimination(self) -> Elimination | None:
@@ -357,14 +360,23 @@ class AugmentedFactor:
     def _solve(self, b: np.ndarray) -> np.ndarray:
         scale = self._scale.reshape(-1, *(1,) * (b.ndim - 1))
         b = self._pattern.permute(scale * b)
-        scaled = self._lu.solve(b)
-        change = self._lu.solve(self._rest(b, self._tableau, scaled))  # information is a difference
-        if self._pattern.fills_in and not abs(change).max(initial=0.0) <= REFINED * abs(scaled).max(initial=0.0):
+        scaled, change, size = self._refine(b)
+        if self._pattern.fills_in and not size <= REFINED:
             self._lu = self._pattern.factor_by_superlu(self._tableau, exact=True)
-            scaled = self._lu.solve(b)
-            change = self._lu.solve(self._rest(b, self._tableau, scaled))
+            scaled, change, size = self._refine(b)
+        while not size <= CONTRACTION and 0.0 < self._below.max(initial=0.0) <= LARGEST_DAMPING:  # as good as singular
+            self._raise_damping()
+            del self._lu
+            scaled, change, size = self._refine(b)
         solution: np.ndarray = scale * self._pattern.permute_back(scaled + change)
         return solution
+
+    def _refine(self, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """The solution for ``b``, its correction, as information is a difference, and the size of that by the other."""
+        scaled = self._lu.solve(b)
+        change = self._lu.solve(self._rest(b, self._tableau, scaled))
+        whole = float(abs(scaled).max(initial=0.0))
+        return scaled, change, float(abs(change).max(initial=0.0)) / whole if whole else 0.0
 
     def _rest(self, b: np.ndarray, tableau: sp.csc_array, x: np.ndarray) -> np.ndarray:
         """``b - tableau x``, shape of b."""

@@ -157,7 +157,6 @@ def assert_are_the_centres(compared: Compared) -> None:
 # Shares of all x_k are of one collection, not of many small ones: ``n_cases``.
 
 
-@pytest.mark.xfail(reason="open: in example 4 areas use currents two steps later than the centre", strict=True)
 @pytest.mark.long
 def test_on_the_examples_of_any_grid():
     assert_are_the_centres(compare_all(draw_examples()))
