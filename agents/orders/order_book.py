@@ -18,7 +18,7 @@ from agents.protocol.configuration import Configuration
 from agents.protocol.events import Event, Ordered, Rejected, StopRequested
 from agents.security.access import OPERATOR
 from dsse_core.grid.measurement import Source
-from dsse_core.grid.switches import name_status
+from dsse_core.grid.switches import name_statuses
 from dsse_core.printable import listed, printable
 
 log = logging.getLogger(__name__)
@@ -124,7 +124,7 @@ class OrderBook:
         if off != self._followed.meters_off:
             log.info("the operator has switched off: %s", printable(listed(off, MOST_NAMED)) or "no meter")
         if switches != self._followed.switches:
-            statuses = [f"{switch} {name_status(is_closed)}" for switch, is_closed in switches.items()]
+            statuses = [f"{switch} {status}" for switch, status in name_statuses(switches).items()]
             log.info("switches as the operator has set them: %s", printable(listed(statuses, MOST_NAMED)))
         self._followed = followed
         if message.scan:

@@ -17,7 +17,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.files.drafts import whole_file
 from dsse_core.files.kinds import OPERATOR_FILE, FileKind
 from dsse_core.files.strict_table import FileTable, load_strict
-from dsse_core.grid.switches import CLOSED, Status, name_status
+from dsse_core.grid.switches import Status, name_statuses, read_statuses
 
 Count = Annotated[int, Field(ge=0, lt=LARGEST_COUNT)]
 MeterId = Annotated[str, Field(max_length=LONGEST_NAME)]
@@ -84,8 +84,7 @@ class OrderFile:
             )
             raise InvalidInputError(OPERATOR_FILE.called(self.path), [*error.problems, cure]) from None
         start_ms, random, sequence = table.followed
-        switches = {switch: status == CLOSED for switch, status in table.switches.items()}
-        return Followed(Incarnation(start_ms, random), sequence, tuple(table.meters_off), switches)
+        return Followed(Incarnation(start_ms, random), sequence, tuple(table.meters_off), read_statuses(table.switches))
 
     def save(self, followed: Followed) -> None:
         """Write ``followed`` through to the disk.
@@ -97,7 +96,7 @@ class OrderFile:
         table = {
             "followed": [start.start_ms, start.random, followed.sequence],
             "meters_off": list(followed.meters_off),
-            "switches": {switch: name_status(is_closed) for switch, is_closed in followed.switches.items()},
+            "switches": name_statuses(followed.switches),
         }
         with whole_file(self.path) as draft, draft.open("w", encoding="utf-8") as file:
             json.dump(table, file)

@@ -68,7 +68,7 @@ def off(meters: tuple[str, ...], join: Joining, as_json: bool) -> None:
     Example:  dsse meter off vm@22 vm@30
     """
     with join() as operator:
-        _answer_meters(operator.switch_off(meters), "off", as_json)
+        _answer("meters", operator.switch_off(meters), "off", as_json)
 
 
 @meter.command(cls=Command, part=OPERATE, short_help="Use the readings of meters again.")
@@ -82,12 +82,13 @@ def on(meters: tuple[str, ...], join: Joining, as_json: bool) -> None:
     Example:  dsse meter on vm@30
     """
     with join() as operator:
-        _answer_meters(operator.switch_on(meters), "on", as_json)
+        _answer("meters", operator.switch_on(meters), "on", as_json)
 
 
-def _answer_meters(areas: Mapping[str, str], state: str, as_json: bool) -> None:
+def _answer(kind: str, areas: Mapping[str, str], state: str, as_json: bool) -> None:
+    """Prints of each meter or switch, ``kind`` in the plural, the area that has it and its new ``state``."""
     text = "\n".join(printable(f"{area}: {name} is {state}") for name, area in areas.items())
-    answer(as_json, {"meters": {name: {"area": area, "is": state} for name, area in areas.items()}}, text)
+    answer(as_json, {kind: {name: {"area": area, "is": state} for name, area in areas.items()}}, text)
 
 
 @group(OPERATE, short_help="Tell a running system that switches are open or closed.")
@@ -110,7 +111,7 @@ def open_(switches: tuple[str, ...], join: Joining, as_json: bool) -> None:
     Example:  dsse switch open 18-33
     """
     with join() as operator:
-        _answer_switches(operator.set_switches(switches, closed=False), "open", as_json)
+        _answer("switches", operator.set_switches(switches, closed=False), "open", as_json)
 
 
 @switch.command(cls=Command, part=OPERATE, short_help="Count switches as closed.")
@@ -124,12 +125,7 @@ def close(switches: tuple[str, ...], join: Joining, as_json: bool) -> None:
     Example:  dsse switch close 18-33
     """
     with join() as operator:
-        _answer_switches(operator.set_switches(switches, closed=True), "closed", as_json)
-
-
-def _answer_switches(areas: Mapping[str, str], state: str, as_json: bool) -> None:
-    text = "\n".join(printable(f"{area}: {name} is {state}") for name, area in areas.items())
-    answer(as_json, {"switches": {name: {"area": area, "is": state} for name, area in areas.items()}}, text)
+        _answer("switches", operator.set_switches(switches, closed=True), "closed", as_json)
 
 
 @command(OPERATE, short_help="Have a running system make a scan at once.")

@@ -18,13 +18,9 @@ OPEN: Status = "open"
 CLOSED: Status = "closed"
 
 
-def name_status(is_closed: bool) -> Status:
-    return CLOSED if is_closed else OPEN
-
-
 def name_statuses(closed: Mapping[str, bool]) -> dict[str, str]:
     """Switch -> "open" or "closed", of switch -> True where it is closed."""
-    return {switch: name_status(is_closed) for switch, is_closed in closed.items()}
+    return {switch: CLOSED if is_closed else OPEN for switch, is_closed in closed.items()}
 
 
 def read_statuses(named: Mapping[str, str]) -> dict[str, bool]:
@@ -50,14 +46,14 @@ def take_fed(network: Network, readings: Sequence[Measurement]) -> tuple[Network
 
 def keep_in_service(network: Network, readings: Sequence[Measurement]) -> Sequence[Measurement]:
     """``readings`` without those of meters at branches that are open."""
-    return (
-        take_items(readings, rows) if (rows := _find_rows(network, read_meters_of(readings))) is not None else readings
-    )
+    rows = _find_rows(network, read_meters_of(readings))
+    return readings if rows is None else take_items(readings, rows)
 
 
 def keep_meters_in_service(network: Network, meters: Sequence[Meter]) -> Sequence[Meter]:
     """``meters`` without those at branches that are open."""
-    return take_items(meters, rows) if (rows := _find_rows(network, meters)) is not None else meters
+    rows = _find_rows(network, meters)
+    return meters if rows is None else take_items(meters, rows)
 
 
 def _find_rows(network: Network, meters: Sequence[Meter]) -> np.ndarray | None:
