@@ -58,7 +58,8 @@ class NoLoadSolver(_AtNoLoad, TableauSolver):
     def factor(self, H: sp.csr_array, sigma: np.ndarray, columns: np.ndarray) -> AugmentedFactor:
         """Factor without rounding in H, by which an angle meter would seem to measure a magnitude."""
         exact = _without_rounding(H[:, columns])
-        return AugmentedFactor(exact, sigma, self.least_information(columns), AugmentedPattern(exact, careful=True))
+        pattern = AugmentedPattern(exact, careful=True)
+        return AugmentedFactor(exact, sigma, self.least_information(columns), pattern, no_rounding=True)
 
     def weigh_power(
         self, factor: AugmentedFactor, combinations: np.ndarray, A: np.ndarray, du: np.ndarray

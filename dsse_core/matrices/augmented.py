@@ -176,6 +176,7 @@ class AugmentedFactor:
     ``damping``, a number or one per state variable, is added to the diagonal of the information about the state:
     the lower right block becomes ``-diag(damping)``. ``pattern``: pattern of H, if it is known already.
     ``variance`` (n_meas,): sigma squared. ``n_state``: unknowns. ``nearby``: a factor whose pivots may serve.
+    ``no_rounding``: entries of H have none, so that a singular pivot is exactly 0 and the least damping tells.
 
     All but the constructor raise RuntimeError where the matrix is exactly singular and damping does not help.
     """
@@ -187,7 +188,10 @@ class AugmentedFactor:
         damping: float | np.ndarray = 0.0,
         pattern: AugmentedPattern | None = None,
         nearby: AugmentedFactor | None = None,
+        *,
+        no_rounding: bool = False,
     ) -> None:
+        self._no_rounding = no_rounding
         self._pattern = pattern = pattern or AugmentedPattern(H)
         self._n_meas, self.n_state = H.shape[0], len(pattern.columns)
         self.variance, self._damping = sigma**2, np.broadcast_to(damping, self.n_state)
@@ -364,10 +368,11 @@ class AugmentedFactor:
         if self._pattern.fills_in and not size <= REFINED:
             self._lu = self._pattern.factor_by_superlu(self._tableau, exact=True)
             scaled, change, size = self._refine(b)
-        while not size <= CONTRACTION and 0.0 < self._below.max(initial=0.0) <= LARGEST_DAMPING:  # as good as singular
-            self._raise_damping()
-            del self._lu
-            scaled, change, size = self._refine(b)
+        if not self._no_rounding:
+            while not size <= CONTRACTION and 0.0 < self._below.max(initial=0.0) <= LARGEST_DAMPING:  # nearly singular
+                self._raise_damping()
+                del self._lu
+                scaled, change, size = self._refine(b)
         solution: np.ndarray = scale * self._pattern.permute_back(scaled + change)
         return solution
 
