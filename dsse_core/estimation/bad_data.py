@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,8 +19,10 @@ from dsse_core.estimation.residuals import (
     MeterChecks,
     chi_square_limit,
     find_dead,
+    find_taps,
 )
 from dsse_core.estimation.result import EstimationResult
+from dsse_core.estimation.taps import find_wrong_taps
 from dsse_core.gauss_newton import LAST_STEP
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Network
@@ -56,7 +58,8 @@ class BadDataReport:
     """The clean estimate, with the meters removed on the way to it.
 
     ``critical``: ids of the meters that cannot be spared, whatever they read. ``detected``: J still exceeds the
-    chi-square limit. Then ``suspect`` has the largest normalised residual, if that exceeds the threshold.
+    chi-square limit. Then ``taps`` has branch -> by how many steps its tap is probably off, if no meter stands out more
+    than a tap, else ``suspect`` the largest normalised residual, if that exceeds the threshold.
     """
 
     result: EstimationResult
@@ -67,6 +70,7 @@ class BadDataReport:
     chi_square_limit: float
     degrees_of_freedom: int
     suspect: SuspectKept | None
+    taps: Mapping[str, int]
 
     @property
     def undecided(self) -> tuple[tuple[str, ...], ...]:
@@ -99,7 +103,14 @@ def check_meters(result: EstimationResult) -> MeterChecks:
     """Checks of the estimate's meters: normalised residuals, suspects and critical meters."""
     plan = result.plan
     of_meters = result.residual, result.residual_variance, result.sigmas, ~plan.virtual
-    return MeterChecks(plan.meters, *of_meters, lambda: plan.indispensable)
+    return MeterChecks(plan.meters, *of_meters, lambda: plan.indispensable, lambda: _find_wrong_taps(result))
+
+
+def _find_wrong_taps(result: EstimationResult) -> dict[str, float]:
+    if not result.network.with_tap_steps:  # where the back end is radial, the sparse one is not built
+        return {}
+    model = result.plan.sparse.model.with_values(result.values, result.sigmas)
+    return find_wrong_taps(model, np.concatenate([result.va, result.vm]), {})
 
 
 def find_critical(result: EstimationResult) -> tuple[str, ...]:
@@ -228,6 +239,7 @@ def _report(result: EstimationResult, removed: Sequence[RemovedMeasurement], thr
     critical = find_critical(result)
     limit = chi_square_limit(result.degrees_of_freedom, CONFIDENCE)
     detected = result.objective >= limit
+    taps = find_taps(check_meters(result).suspects(threshold)[0]) if detected else {}
     return BadDataReport(
         result=result,
         removed=tuple(removed),
@@ -236,7 +248,8 @@ def _report(result: EstimationResult, removed: Sequence[RemovedMeasurement], thr
         objective=result.objective,
         chi_square_limit=limit,
         degrees_of_freedom=result.degrees_of_freedom,
-        suspect=_find_suspect(result, threshold, critical) if detected else None,
+        suspect=_find_suspect(result, threshold, critical) if detected and not taps else None,
+        taps=taps,
     )
 
 

@@ -14,7 +14,7 @@ from enum import StrEnum
 import numpy as np
 
 from dsse_core import gauss_newton
-from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, keep_equal, keep_tied
+from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, find_taps, keep_equal, keep_tied
 from dsse_core.gauss_newton import FULL_STEPS, LAST_STEP, MOST_STEPS
 from dsse_core.linear.boundary_information import BEYOND_REASON
 from dsse_core.split_identity import HeldSplits, SplitUse, add_held, add_uses
@@ -316,10 +316,11 @@ def are_steps_used_up(memory: Memory) -> bool:
 def _remove_worst(memory: Memory, totals: Totals) -> tuple[Memory, Verdict]:
     """Verdict after evaluating: removes the meter with the largest normalised residual, of equal ones the first by id.
 
-    The scan ends without a removal where no residual stands out, or where the step taken with the decision has brought
-    J below the limit.
+    The scan ends without a removal where no residual stands out, where the largest is that of a tap, as then no meter
+    need be to blame, or where the step taken with the decision has brought J below the limit.
     """
-    if not totals.worst or not _exceeds_limit(totals) or len(memory.removed) >= MOST_REMOVED:
+    suspects = dict(totals.worst)
+    if not suspects or find_taps(suspects) or not _exceeds_limit(totals) or len(memory.removed) >= MOST_REMOVED:
         return replace(memory, evaluating=False), Verdict(Decision.FINAL)
     if are_steps_used_up(memory):
         return replace(memory, evaluating=False), Verdict(Decision.FINAL, reason=STEPS_USED_UP)

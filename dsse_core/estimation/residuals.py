@@ -6,7 +6,8 @@ them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -25,6 +26,7 @@ CRITICAL_REDUNDANCY = 1e-12
 # Least (R_ii - Omega_ii) / R_ii, the variance of the estimated reading over that of the meter. Below it the meter says
 # next to nothing about its quantity, and the difference would lose more than four digits.
 LEAST_REDUCTION = 1e-4
+TAP = re.compile(r"tap@(?P<branch>.+):(?P<steps>[+-][0-9]+)")
 DEAD_VM = 0.5  # p.u.; no grid works below it, but least squares find states that come close to such a reading
 
 
@@ -41,7 +43,8 @@ class MeterChecks:
     """Checks of the ``meters`` of an area or of the whole grid by an estimate; arrays (n_meas,).
 
     ``residual``: z - h(x); ``variance``: diag(Omega); ``real``: not virtual. ``find_indispensable``: finds the meters
-    that are indispensable at no load, (n_meas,); called only where needed.
+    that are indispensable at no load, (n_meas,); ``find_taps``: taps that stand out, by ``name_tap``, with their
+    normalised residuals. Both are called only where needed.
     """
 
     meters: Sequence[Meter]
@@ -50,6 +53,7 @@ class MeterChecks:
     sigma: np.ndarray
     real: np.ndarray
     find_indispensable: Callable[[], np.ndarray]
+    find_taps: Callable[[], Mapping[str, float]] = dict
 
     @cached_property
     def normalized(self) -> np.ndarray:
@@ -68,10 +72,27 @@ class MeterChecks:
         return tuple(self.meters[k].id for k in np.flatnonzero(unchecked & self.real).tolist())
 
     def suspects(self, threshold: float = THRESHOLD) -> tuple[dict[str, float], dict[str, float]]:
-        """Meter -> its normalised residual, for the meters above ``threshold``; two parts, see ``split_suspects``."""
+        """Meter or tap -> its normalised residual, for those above ``threshold``; two parts, see ``split_suspects``."""
         above = np.flatnonzero(self.normalized > threshold).tolist()
         found = {self.meters[k].id: float(self.normalized[k]) for k in above}
-        return split_suspects(found, set(self.critical))
+        return split_suspects(found | dict(self.find_taps()), set(self.critical))
+
+
+def name_tap(branch: str, steps: int) -> str:
+    """The name of a tap among suspects, ``steps`` above the ``tap`` of its branch: "tap@7-8:+2"."""
+    return f"tap@{branch}:{steps:+d}"
+
+
+def describe_tap(branch: str, steps: int) -> str:
+    """The name of a tap that stands out, and what to check."""
+    where = f"{abs(steps)} step{'s' * (abs(steps) > 1)} {'above' if steps > 0 else 'below'} its tap_ratio"
+    return f"{name_tap(branch, steps)} stands out: check whether the tap of branch {branch} is {where}, then its meters"
+
+
+def find_taps(suspects: Iterable[str]) -> dict[str, int]:
+    """Branch -> steps, of those ``suspects`` that are taps, see ``name_tap``."""
+    found = (TAP.fullmatch(name) for name in suspects)
+    return {match["branch"]: int(match["steps"]) for match in found if match}
 
 
 def keep_tied(suspects: Mapping[str, float]) -> dict[str, float]:

@@ -16,6 +16,7 @@ import numpy as np
 from dsse_core.errors import DsseError
 from dsse_core.estimation.decision import MOST_NAMED, Decision, Memory, Totals, Verdict, limit_total
 from dsse_core.estimation.residuals import DEAD_VM, MeterChecks, find_dead
+from dsse_core.estimation.taps import find_wrong_taps
 from dsse_core.exchange.boundary_load import Loads, powers_from, stand_in_for
 from dsse_core.exchange.feeder_bad_data import (
     NoLoadModel,
@@ -497,7 +498,10 @@ class AreaEstimation:
         model = self.model
         of_meters = model.residual(self.x), variance, model.sigma, ~model.virtual
         return MeterChecks(
-            model.meters, *of_meters, lambda: np.array([m in self.critical for m in model.ids], dtype=bool)
+            model.meters,
+            *of_meters,
+            lambda: np.array([m in self.critical for m in model.ids], dtype=bool),
+            lambda: find_wrong_taps(model, self.linearized_at, self.received),
         )
 
     def _variances(self) -> tuple[np.ndarray, np.ndarray]:

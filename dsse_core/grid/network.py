@@ -74,7 +74,8 @@ class Branch:
     ``v_to = v_from / (tap * exp(j * shift))``; ``shift`` in rad. The rating, where it is known: ``i_max``, the current
     at either end, or ``s_max``, the apparent power, p.u. Where buses have phases ``primitive`` is the branch, and
     ``r``, ``x`` are its size alone, by which impedances near zero are found. ``switch``: it may be opened and closed
-    while areas run, and ``in_service`` is its status until then.
+    while areas run, and ``in_service`` is its status until then. ``tap_steps``: by how much one step of the tap changer
+    changes ``tap``; 0 where the tap is fixed.
     """
 
     id: str
@@ -92,6 +93,7 @@ class Branch:
     s_max: float | None = None
     primitive: Primitive | None = None
     switch: bool = False
+    tap_steps: float = 0.0
 
     def other_end(self, bus: int) -> int:
         return self.to_bus if bus == self.from_bus else self.from_bus
@@ -251,6 +253,12 @@ class Network:
             return replace(self, branches=Records(self.branches.make, columns))
         statuses = ((branch, changed.get(branch.id, branch.in_service)) for branch in self.branches)
         return replace(self, branches=tuple(replace(branch, in_service=status) for branch, status in statuses))
+
+    @cached_property
+    def with_tap_steps(self) -> tuple[Branch, ...]:
+        """Branches in service whose tap changer has steps."""
+        given = any(read_given(self.branches, "tap_steps"))
+        return tuple(branch for branch in self.active_branches if branch.tap_steps) if given else ()
 
     @cached_property
     def slack(self) -> Generator | None:
@@ -421,6 +429,8 @@ def _find_problems_of_buses_and_branches(network: Network) -> Iterable[str]:
                 yield f"branch {branch.id}: i_max or s_max is {rating}; a rating is positive, or is not given"
         if branch.tap <= 0:
             yield f"branch {branch.id}: tap is {branch.tap}; it must be positive (1.0 for a line)"
+        if not 0 <= branch.tap_steps < branch.tap:
+            yield f"branch {branch.id}: tap_steps is {branch.tap_steps}; a step is 0 or more, and less than the tap"
     yield from _find_problems_of_phases(network)
 
 

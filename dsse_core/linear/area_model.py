@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from dsse_core.grid.admittance import build_admittance, flat_start
+from dsse_core.grid.admittance import Admittance, build_admittance, flat_start
 from dsse_core.grid.boundary import Kind
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.measurement_model import CurrentsBeyond, MeasurementModel, build_measurement_model
@@ -97,13 +97,11 @@ def build_area_model(
     meters = [m.meter for m in measurements]
     size = 2 * network.n_nodes + len(area.powers_into_children)
     fixed = NO_ROWS if reference is None else network.nodes_at(reference)
-    shared = (v for boundary in area.boundaries.values() for v in boundary.variables)
-    into_area = [Meter(INJECTION[v.kind], v.bus, phases=v.phase) for v in shared if v.area == area.name]
     return AreaModel(
         area=area,
         model=_count_currents(area, build_measurement_model(network, admittance, meters)),
         into_children=_count_powers(area, meters),
-        into_area=build_measurement_model(network, admittance, into_area) if into_area else None,
+        into_area=_build_into_area(area, admittance),
         z=_values_of(measurements),
         sigma=_sigmas_of(measurements),
         free=np.delete(np.arange(size), fixed),
@@ -111,6 +109,23 @@ def build_area_model(
         reference=reference,
         backend=backend,
     )
+
+
+def with_tap(model: AreaMeasurements, branch: str, tap: float) -> AreaMeasurements:
+    """``model`` with another ``tap`` of a branch of its area."""
+    network = model.area.network
+    branches = tuple(replace(b, tap=tap) if b.id == branch else b for b in network.branches)
+    area = replace(model.area, network=replace(network, branches=branches))
+    admittance = build_admittance(area.network)
+    of_meters = _count_currents(area, build_measurement_model(area.network, admittance, model.meters))
+    return replace(model, area=area, model=of_meters, into_area=_build_into_area(area, admittance))
+
+
+def _build_into_area(area: Area, admittance: Admittance) -> MeasurementModel | None:
+    """P and Q from buses of others into the area's own branches; None where there are none."""
+    shared = (v for boundary in area.boundaries.values() for v in boundary.variables)
+    into_area = [Meter(INJECTION[v.kind], v.bus, phases=v.phase) for v in shared if v.area == area.name]
+    return build_measurement_model(area.network, admittance, into_area) if into_area else None
 
 
 def _count_powers(area: Area, meters: Sequence[Meter]) -> sp.csr_array:

@@ -84,6 +84,7 @@ class BranchArrays:
     x: np.ndarray
     b: np.ndarray
     tap: np.ndarray
+    tap_steps: np.ndarray
     shift: np.ndarray
     in_service: np.ndarray
     switch: np.ndarray
@@ -121,6 +122,7 @@ class BranchArrays:
             x=choose(take("x_ohm") / z_base, "x_pu"),
             b=choose(take("b_us") * 1e-6 * z_base, "b_pu"),
             tap=take("tap_ratio", 1.0),
+            tap_steps=take("tap_steps"),
             shift=np.radians(take("shift_deg")),
             in_service=np.array(_take(given, "in_service", n, True), dtype=bool),
             switch=np.array(_take(given, "switch", n, False), dtype=bool),
@@ -138,8 +140,9 @@ class BranchArrays:
         columns = {field.name: getattr(self, field.name) for field in fields(Branch) if hasattr(self, field.name)}
         if primitives:
             columns["primitive"] = primitives
-        if not self.switch.any():
-            del columns["switch"]
+        for key in ("tap_steps", "switch"):
+            if not columns[key].any():
+                del columns[key]
         return Records(Branch, _without_unknown(columns, ("i_max", "s_max")) | {"id": self._name()})
 
     def _name(self) -> list[str]:

@@ -164,6 +164,10 @@ class BranchTable(Table):
     """Phases at `to`, where others, beside `g_ports_pu`."""
     tap_ratio: Positive = Field(default=1.0, description="divides the from-side voltage; 1.0 for a line")
     """Divides the from-side voltage: without load `v_to = v_from / tap_ratio`."""
+    tap_steps: float = Field(default=0.0, ge=0.0, description="change of tap_ratio by one step of the tap changer")
+    """Change of `tap_ratio` by one step of a tap changer. Such taps are checked against the readings
+    ([taps](../explanation/theory.md#taps)); 0 where the tap is fixed.
+    """
     shift_deg: float = 0.0
     """Phase shift: without load the angle of `to` is that of `from` minus the shift."""
     in_service: bool = True
@@ -290,6 +294,7 @@ class BranchColumns(ColumnsTable):
     b_pu: list[float] | None = None
     g_pu: list[float] | None = None
     tap_ratio: list[Positive] | None = None
+    tap_steps: list[float] | None = None
     shift_deg: list[float] | None = None
     in_service: list[bool] | None = None
     switch: list[bool] | None = None

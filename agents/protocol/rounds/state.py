@@ -49,7 +49,7 @@ from agents.protocol.scan_end import ScanEnd
 from agents.strategies.interface import Estimate
 from dsse_core.estimation.decision import STEPS_USED_UP, Totals
 from dsse_core.estimation.decision import UNOBSERVABLE as NOT_OBSERVABLE
-from dsse_core.estimation.residuals import FALSE_ALARMS, chi_square_limit
+from dsse_core.estimation.residuals import FALSE_ALARMS, chi_square_limit, describe_tap, find_taps
 from dsse_core.exchange.area_estimation import FAILURES
 from dsse_core.grid.boundary import Kind
 from dsse_core.grid.nodes import name_node
@@ -231,11 +231,14 @@ class RoundsState:
                 [kept],
             )
         elif _exceeds_limit(totals):
+            taps = find_taps(dict(totals.worst))
+            why = "; ".join(describe_tap(*tap) for tap in taps.items())
             yield Finding(
                 DEGRADED,
                 f"readings contradict each other (J {totals.objective:.4g} with {totals.degrees_of_freedom} degrees of "
-                "freedom), and no meter stands out that can be spared",
+                f"freedom){f'; {why}' if why else ', and no meter stands out that can be spared'}",
                 "readings contradict each other",
+                [f"tap of {branch}" for branch in taps],
             )
 
     def _passing_findings(self, term: Term, now: float) -> Iterator[Finding]:

@@ -12,7 +12,8 @@ from coordinator.lab.evaluation.scan_estimates import ScanEstimates
 from coordinator.show.report.number_cells import BLANK, place, write_fixed, write_significant, write_texts
 from coordinator.show.report.phase_rows import find_first_rows, show_by_site
 from coordinator.watch.tables import format_table
-from dsse_core.estimation.bad_data import BadDataReport, SuspectKept
+from dsse_core.estimation.bad_data import BadDataReport
+from dsse_core.estimation.residuals import describe_tap
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.printable import all_printable, printable, shortened
 from dsse_core.results.results import Results
@@ -162,7 +163,7 @@ def format_bad_data(report: BadDataReport) -> list[str]:
             + (f"; the data cannot tell it from {', '.join(others)}" if others else "")
         )
     if report.detected:
-        lines.append(f"bad data is still detected{_format_suspect(report.suspect)}")
+        lines.append(f"bad data is still detected{_format_suspect(report)}")
     elif not report.removed:
         lines.append("no bad data detected")
     if report.n_without_variance:
@@ -176,9 +177,11 @@ def format_bad_data(report: BadDataReport) -> list[str]:
     return lines
 
 
-def _format_suspect(suspect: SuspectKept | None) -> str:
+def _format_suspect(report: BadDataReport) -> str:
     """Reason, for the end of a line, why bad data that are still detected were not removed."""
-    if suspect is None:
+    if report.taps:
+        return f": {'; '.join(describe_tap(branch, steps) for branch, steps in report.taps.items())}"
+    if (suspect := report.suspect) is None:
         return ", but no normalised residual stands out"
     reason = {
         "critical": "without it the state is not determined",
