@@ -110,7 +110,7 @@ class Sites:
 
     def phases_at(self, site: Place) -> list[str]:
         """The phases that a site has; [""] in a balanced network."""
-        return list_phases(write_phases(int(self.rows.sets[self.row_of[site]])))
+        return list(list_phases(write_phases(int(self.rows.sets[self.row_of[site]]))))
 
     def find_problem_of_phases(self, place: Place, most: int, *, has_total: bool) -> str:
         """The problem of the phases of ``place``, whose site is there, as text; empty without.

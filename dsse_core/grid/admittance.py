@@ -56,10 +56,11 @@ def find_primitives(network: Network, with_shunts: bool) -> np.ndarray:
     table = network.table
     if table.nodes.is_balanced:
         return np.concatenate(find_two_ports(table, table.active, with_shunts))
-    primitives, ungrounded, matrices = table.primitives, set(network.gauge.ungrounded), [np.zeros(0)]
-    for branch in table.active.tolist():
-        p = primitives[branch]
-        is_ungrounded = int(table.from_bus[branch]) in ungrounded, int(table.to_bus[branch]) in ungrounded
+    ungrounded, matrices = set(network.gauge.ungrounded), [np.zeros(0)]
+    ends = table.from_bus[table.active].tolist(), table.to_bus[table.active].tolist()
+    for branch, from_bus, to_bus in zip(table.active.tolist(), *ends, strict=True):
+        p = table.primitives[branch]
+        is_ungrounded = from_bus in ungrounded, to_bus in ungrounded
         y = p.y if with_shunts else p.y - p.charging
         if with_shunts and any(is_ungrounded):
             y = p.y - p.charging + project_charging(p.charging, len(list_phases(p.from_phases)), is_ungrounded)

@@ -7,6 +7,7 @@ network at the bus, branch flows when power leaves the metered bus into the bran
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -461,9 +462,8 @@ def _find_problems_of_phases(network: Network) -> Iterable[str]:
 def _find_sound_phases(network: Network) -> dict[int, str]:
     """Bus -> its phases, but of buses whose phases are refused: what stands there is no further mistake."""
     has_phases = any(bus.phases for bus in network.buses)
-    return {
-        bus.id: bus.phases for bus in network.buses if read_phases([bus.phases])[0] and (bus.phases or not has_phases)
-    }
+    sound = zip(network.buses, network.table.phases.tolist(), strict=True)
+    return {bus.id: bus.phases for bus, phases in sound if phases and (bus.phases or not has_phases)}
 
 
 def _find_problems_of_loads(network: Network) -> Iterable[str]:
@@ -472,7 +472,7 @@ def _find_problems_of_loads(network: Network) -> Iterable[str]:
         stated = network.table.bus_id[network.table.load != 0].tolist()
         yield from (f"bus {bus} has phases, and a load of its own; state the load by its legs" for bus in stated)
     for load in network.loads:
-        is_there, wanted = network.table.rows.row_of(load.bus) >= 0, list_phases(load.phases)
+        is_there, wanted = load.bus in network.row, list_phases(load.phases)
         there = sound.get(load.bus, "")
         if is_there and load.bus not in sound:
             continue
@@ -481,7 +481,7 @@ def _find_problems_of_loads(network: Network) -> Iterable[str]:
         elif len(wanted) not in (1, 2) or len(set(wanted)) < len(wanted) or not {*wanted} <= {*list_phases(there)}:
             known = ", ".join(list_phases(there))
             yield f"a load at bus {load.bus}: phases is {load.phases!r}; name one or two of {known}"
-        if not np.isfinite([load.s, *load.exponents]).all():
+        if not all(map(cmath.isfinite, (load.s, *load.exponents))):
             yield f"a load at bus {load.bus}: s or an exponent is not a finite number"
 
 

@@ -183,9 +183,19 @@ class NetworkTable:
             and self.series.all()
             and self.end_rows.min(initial=0) >= 0
             and (self.end_rows[0] != self.end_rows[1]).all()
-            and self.nodes.is_balanced
-            and not self.primitives
+            and (self._have_possible_phases() if self.primitives else self.nodes.is_balanced)
         )
+
+    def _have_possible_phases(self) -> bool:
+        """True where each bus has phases, and each branch some of both its buses and finite admittances over them."""
+        if len(self.primitives) < len(self.in_service) or not self.phases.all() or (self.phases & BALANCED).any():
+            return False
+        if not self.branch_phases.all() or (self.branch_phases & ~self.phases[self.end_rows]).any():
+            return False
+        matrices = [(p.y, p.charging) for p in self.primitives.values()]
+        n_ports = np.bitwise_count(self.branch_phases).sum(axis=0).tolist()
+        are_square = all(y.shape == c.shape == (n, n) for (y, c), n in zip(matrices, n_ports, strict=True))
+        return are_square and bool(np.isfinite(np.concatenate([m.ravel() for both in matrices for m in both])).all())
 
 
 def _find_joined_ports(primitive: Primitive) -> tuple[np.ndarray, np.ndarray]:

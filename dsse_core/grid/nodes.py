@@ -33,10 +33,11 @@ def write_phases(phases: int) -> str:
     return "".join(phase for k, phase in enumerate(PHASES) if phases >> k & 1)
 
 
-def list_phases(text: str) -> list[str]:
-    """The phases of a text, such as ["a", "b"] of "ab", in its order; [""] of ""; empty where it is none."""
+@lru_cache
+def list_phases(text: str) -> tuple[str, ...]:
+    """The phases of a text, such as ("a", "b") of "ab", in its order; ("",) of ""; empty where it is none."""
     found = re.findall(ANY_PHASE, text)
-    return ([""] if not text else found) if "".join(found) == text else []
+    return (tuple(found) if text else ("",)) if "".join(found) == text else ()
 
 
 def share_of_power(phases: str) -> float:
@@ -54,8 +55,8 @@ def explain_phases(text: str) -> str:
 
 @lru_cache
 def _read_set(text: str) -> int:
-    phases = list_phases(text)
-    return sum(1 << PHASES.index(phase) for phase in phases) if phases == sorted(set(phases), key=PHASES.index) else 0
+    places = [PHASES.index(phase) for phase in list_phases(text)]
+    return sum(1 << place for place in places) if places == sorted(set(places)) else 0
 
 
 def name_node(bus: int, phase: str) -> str:

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dsse_core.grid.columns import read_given
 from dsse_core.grid.loads import Load
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
-from dsse_core.grid.nodes import share_of_power
+from dsse_core.grid.nodes import BALANCED, share_of_power
 from dsse_core.limits import LARGEST_BUS
 
 
@@ -30,6 +31,10 @@ class Range:
         if not self.least <= value <= self.most:
             unit = f" {self.unit}" if self.unit else ""
             yield f"{of} is {value:g}{unit}; it must lie between {self.least:g} and {self.most:g}{unit}; correct it"
+
+    def holds(self, values: np.ndarray) -> bool:
+        """True where all ``values`` lie inside."""
+        return bool(((values >= self.least) & (values <= self.most)).all())
 
 
 BASE_POWER = Range(1e-6, 1e6, "MVA")
@@ -49,6 +54,8 @@ VOLTAGE = Range(0.1, 10.0, "p.u.")
 def find_range_problems(network: Network) -> Iterator[str]:
     """A problem for each number of ``network`` that no grid has, with the bus or branch, the value and the range."""
     yield from find_base_problems(network.base_mva, {})
+    if _lie_within_ranges(network):
+        return
     for bus in network.buses:
         yield from _of_bus(bus, network.base_mva * share_of_power(bus.phases))
     for branch in network.branches:
@@ -63,8 +70,42 @@ def find_range_problems(network: Network) -> Iterator[str]:
 def find_base_problems(base_mva: float, base_kv: Mapping[int, float]) -> Iterator[str]:
     """A problem for each base, by which other numbers are divided, that no grid has; ``base_kv``: bus -> base, kV."""
     yield from BASE_POWER.find_problem("base_mva", base_mva)
-    for bus, kv in base_kv.items():
-        yield from BASE_VOLTAGE.find_problem(f"bus {bus}: base voltage", kv)
+    if not BASE_VOLTAGE.holds(np.array([*base_kv.values()])):
+        for bus, kv in base_kv.items():
+            yield from BASE_VOLTAGE.find_problem(f"bus {bus}: base voltage", kv)
+
+
+def _lie_within_ranges(network: Network) -> bool:
+    """True where all numbers of buses, branches, sources and loads are inside; no texts are made."""
+    table, base, loads = network.table, network.base_mva, network.loads
+    at_bus, of_branch = base * _find_shares(table.phases), base * _find_shares(table.branch_phases[0])
+    sources = network.generators
+    produced = np.array([complex(g.p, g.q) for g in sources]) * at_bus[[network.row[g.bus] for g in sources]]
+    holding = [g for g in sources if g.control is not Control.POWER]
+    drawn = np.array([load.s for load in loads], dtype=complex) * network.node_mva
+    checked: list[tuple[Range, np.ndarray]] = [
+        (BASE_VOLTAGE, table.base_kv),
+        (TAP, table.tap),
+        (ANGLE, np.degrees(table.shift)),
+        (VOLTAGE, np.array([g.vm for g in holding])),
+        (ANGLE, np.degrees(np.array([g.va for g in holding]))),
+        (EXPONENT, np.array([load.exponents for load in loads])),
+    ]
+    for power in (table.load * at_bus, table.shunt * at_bus, produced, drawn):
+        checked += [(POWER, power.real), (REACTIVE_POWER, power.imag)]
+    ports = np.concatenate([np.zeros(0, dtype=complex), *(p.y.ravel() for p in table.primitives.values())])
+    for limits, values in ((IMPEDANCE, table.series), (ADMITTANCE, table.charging), (PORT_ADMITTANCE, ports)):
+        checked += [(limits, values.real), (limits, values.imag)]
+    for key in ("i_max", "s_max"):
+        given = zip(read_given(network.branches, key), of_branch.tolist(), strict=False)
+        checked.append((RATING, np.array([rating * size for rating, size in given if rating is not None])))
+    is_bus = (table.bus_id >= -LARGEST_BUS) & (table.bus_id <= LARGEST_BUS)
+    return bool(is_bus.all()) and all(limits.holds(values) for limits, values in checked)
+
+
+def _find_shares(phases: np.ndarray) -> np.ndarray:
+    """``share_of_power`` of sets of phases."""
+    return np.where(phases == BALANCED, 1.0, np.bitwise_count(phases) / 3)
 
 
 def _of_bus(bus: Bus, base: float) -> Iterator[str]:

@@ -11,22 +11,8 @@ from typing import Any
 import numpy as np
 
 from dsse_core.grid.columns import Records, Rows, read_ids
-from dsse_core.grid.network import Branch, Bus, Control, Generator
+from dsse_core.grid.network import Branch, Bus
 from dsse_core.grid.nodes import Primitive, share_of_power
-from dsse_core.grid.physical_ranges import (
-    ADMITTANCE,
-    ANGLE,
-    BASE_POWER,
-    BASE_VOLTAGE,
-    IMPEDANCE,
-    POWER,
-    RATING,
-    REACTIVE_POWER,
-    TAP,
-    VOLTAGE,
-    Range,
-)
-from dsse_core.limits import LARGEST_BUS
 from dsse_core.results.units import base_current
 from scenarios.files.network_tables import BranchColumns, BranchTable, BusColumns, BusTable
 
@@ -179,27 +165,3 @@ def default_branch_id(from_bus: int, to_bus: int, taken: Collection[str | None])
     if plain not in taken:
         return plain
     return next(branch_id for number in count(2) if (branch_id := f"{plain}#{number}") not in taken)
-
-
-def lie_within_ranges(
-    base_mva: float, buses: BusArrays, branches: BranchArrays | None, generators: Sequence[Generator]
-) -> bool:
-    """True where ``find_range_problems``, which looks at each number by itself, finds no problem."""
-    holding = [g for g in generators if g.control is not Control.POWER]
-    checked: list[tuple[Range, object, float]] = [
-        (BASE_POWER, base_mva, 1.0),
-        (BASE_VOLTAGE, buses.base_kv, 1.0),
-        (VOLTAGE, [g.vm for g in holding], 1.0),
-        (ANGLE, np.degrees([g.va for g in holding]), 1.0),
-    ]
-    checked += [(POWER, part, base_mva) for part in (buses.p_load, buses.g_shunt, [g.p for g in generators])]
-    checked += [(REACTIVE_POWER, part, base_mva) for part in (buses.q_load, buses.b_shunt, [g.q for g in generators])]
-    if branches is not None:
-        checked += [(IMPEDANCE, part, 1.0) for part in (branches.r, branches.x)]
-        checked += [(ADMITTANCE, part, 1.0) for part in (branches.b, branches.g)]
-        checked += [(RATING, part[~np.isnan(part)], base_mva) for part in (branches.i_max, branches.s_max)]
-        checked += [(TAP, branches.tap, 1.0), (ANGLE, np.degrees(branches.shift), 1.0)]
-    numbers = ((limits, np.array(values, dtype=float) * size) for limits, values, size in checked)
-    return bool(((buses.id >= -LARGEST_BUS) & (buses.id <= LARGEST_BUS)).all()) and all(
-        bool(((limits.least <= values) & (values <= limits.most)).all()) for limits, values in numbers
-    )

@@ -15,7 +15,7 @@ from dsse_core.grid.network import Control, Generator, Network
 from dsse_core.grid.nodes import share_of_power
 from dsse_core.grid.physical_ranges import find_base_problems, find_range_problems
 from dsse_core.printable import listed
-from scenarios.files.network_columns import BranchArrays, BusArrays, lie_within_ranges
+from scenarios.files.network_columns import BranchArrays, BusArrays
 from scenarios.files.network_phases import PhaseParts, find_parts_with_phases, read_phase_parts
 from scenarios.files.network_tables import NetworkFile, SourceTable
 from scenarios.files.shipped_files import find_shipped
@@ -50,10 +50,9 @@ def load_network(path: Path) -> Network:
         raise InvalidInputError(what, problems)
     shares = {bus: share_of_power(text) for bus, text in phases.items()}
     generators = tuple(_build_generator(source, base * shares.get(source.bus, 1.0)) for source in file.source)
-    if not lie_within_ranges(base, buses, None, generators):
-        base_kv = dict(zip(buses.id[::-1].tolist(), buses.base_kv[::-1].tolist(), strict=True))
-        if problems := list(find_base_problems(base, base_kv)):  # others are divided by these numbers
-            raise InvalidInputError(what, problems)
+    base_kv = dict(zip(buses.id[::-1].tolist(), buses.base_kv[::-1].tolist(), strict=True))
+    if problems := list(find_base_problems(base, base_kv)):  # others are divided by these numbers
+        raise InvalidInputError(what, problems)
     parts = PhaseParts()
     if phases:
         parts = read_phase_parts(file, dict(zip(buses.id.tolist(), buses.base_kv.tolist(), strict=True)), phases)
@@ -64,9 +63,7 @@ def load_network(path: Path) -> Network:
         network = Network(file.name, base, buses.build(), of_branches, generators, tuple(parts.loads))
     except InvalidInputError as error:
         raise InvalidInputError(what, [*problems, *error.problems]) from None
-    if phases or not lie_within_ranges(base, buses, branches, generators):
-        problems += find_range_problems(network)
-    if problems := [*problems, *find_zero_impedance_problems(network)]:
+    if problems := [*problems, *find_range_problems(network), *find_zero_impedance_problems(network)]:
         raise InvalidInputError(what, problems)
     return network
 

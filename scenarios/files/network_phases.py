@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -376,6 +377,7 @@ def _read_legs(table: LoadTable, place: _Place) -> list[Load]:
     return loads
 
 
+@lru_cache
 def find_nominal_across(leg: str) -> float:
     """The nominal voltage across a leg by that of a phase to ground: 3^0.5 between two of a, b, c, 2 of s1 and s2."""
     ends = np.exp(1j * PHASE_ANGLE[[PHASES.index(phase) for phase in list_phases(leg)]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -62,6 +63,12 @@ class Imported:
     files: Mapping[str, str] = field(default_factory=dict)
 
 
+def check_extra(module: str, extra: str, what: str) -> None:
+    """Raises InvalidInputError where an optional package is not installed; does not import it."""
+    if importlib.util.find_spec(module) is None:
+        raise _lack(extra, f"no module {module}", what)
+
+
 def load_extra(module: str, extra: str, what: str) -> ModuleType:
     """Import an optional package.
 
@@ -71,8 +78,12 @@ def load_extra(module: str, extra: str, what: str) -> ModuleType:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        problem = f"reading it needs the package {extra} ({error}); install it: {install_command(extra)}"
-        raise InvalidInputError(what, [problem]) from None
+        raise _lack(extra, str(error), what) from None
+
+
+def _lack(extra: str, error: str, what: str) -> InvalidInputError:
+    problem = f"reading it needs the package {extra} ({error}); install it: {install_command(extra)}"
+    return InvalidInputError(what, [problem])
 
 
 def rating(mva: float, base_mva: float) -> float | None:

@@ -32,10 +32,10 @@ from scenarios.importers.imported import (
     ROUNDING,
     Imported,
     Remark,
+    check_extra,
     find_places,
     leave_out_islands,
     list_shunt_legs,
-    load_extra,
     rating,
 )
 from scenarios.importers.opendss.profiles import write_profiles
@@ -66,7 +66,7 @@ def read_opendss(path: Path, within: Path | None = None) -> Imported:
             network with phases cannot hold.
     """
     script = read_script(path, within)
-    load_extra("opendssdirect", "opendss", str(path))
+    check_extra("opendssdirect", "opendss", str(path))
     answer = solve_circuit(script, path)
     try:
         return Circuit(answer, script).finish(path)
