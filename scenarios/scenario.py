@@ -200,6 +200,13 @@ def _find_problems_of_names_and_times(file: ScenarioFile, area_buses: AreaBuses 
     yield from find_name_problems(file.faults, area_buses, routers)
     yield from find_time_problems(file.faults.events, file.run.timeout_s)
     yield from find_order_problems(file.faults.events)
+    if file.telemetry.source != "network":
+        for i, event in enumerate(file.faults.events, 1):
+            if event.switch is not None:
+                yield (
+                    f"faults.events[{i}].switch: telemetry.source is {file.telemetry.source!r}, whose readings follow "
+                    "no switch; set source = 'network', or remove the event"
+                )
     for name in sorted({*RESERVED, *(f"gateway-{name}" for name in file.gateways)} & (area_buses or {}).keys()):
         yield f"areas.{name}: this name belongs to another process; choose another"
 

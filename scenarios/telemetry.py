@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.exchange.boundary_load import boundary_loads, scheduled_load_messages
-from dsse_core.grid.columns import Records, read_column
+from dsse_core.grid.columns import Records, read_column, take_items
 from dsse_core.grid.measurement import Measurement, Meter, Source
 from dsse_core.grid.meter_table import KINDS, NO_BRANCH, QUANTITY, find_virtual, list_named_phases, number_kinds
 from dsse_core.grid.network import Network
 from dsse_core.grid.quantities import Quantity
+from dsse_core.grid.switches import find_meters_in_service, take_fed
 from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
 from scenarios.crc32 import sum_up, write_bytes
 from scenarios.meter_noise import draw_noise
 from scenarios.scenario import Scenario
+
+AS_STATED: Mapping[str, bool] = {}  # switches as the network has them
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,9 +57,9 @@ class Scan:
     area_power_flows: dict[str, PowerFlowResult]
 
 
-def make_telemetry(scenario: Scenario, scan: int = 1) -> Telemetry:
+def make_telemetry(scenario: Scenario, scan: int = 1, closed: Mapping[str, bool] = AS_STATED) -> Telemetry:
     """Readings of all meters in scan number ``scan``, each a measurement. Raises as ``read_meters``."""
-    read = read_meters(scenario, scan)
+    read = read_meters(scenario, scan, closed)
     union = Records(Measurement, {"meter": scenario.meters, "value": read.values, "sigma": read.sigmas})
     if read.missing:
         union = union.take(np.delete(np.arange(len(union)), read.missing))
@@ -73,10 +76,13 @@ def expect_telemetry(scenario: Scenario) -> Telemetry:
     return make_telemetry(scenario)
 
 
-def read_meters(scenario: Scenario, scan: int = 1) -> Scan:
+def read_meters(scenario: Scenario, scan: int = 1, closed: Mapping[str, bool] = AS_STATED) -> Scan:
     """Readings of all meters in scan number ``scan``: the same for the same scenario, seed and scan.
 
     A meter's noise depends on seed, scan and its own id only, not on which other meters there are.
+
+    ``closed``: switch -> its true status, where it is not that of the network. Exact readings are 0 at open branches
+    and where there is no supply.
 
     Raises:
         InvalidInputError: ``area-power-flow`` and an area without local slack voltage; or source ``live``.
@@ -89,18 +95,43 @@ def read_meters(scenario: Scenario, scan: int = 1) -> Scan:
     if scenario.telemetry.source == "file":
         values, sigmas = _real_readings(scenario)
     else:
-        truth = solve_power_flow(scenario.network)
+        truth = _solve_with_supply(scenario.network.operated(closed))
         if scenario.telemetry.source == "area-power-flow":
             area_power_flows = _solve_area_power_flows(scenario)
             by_meter = {m: s for part in _read_by_area(scenario, area_power_flows) for m, *s in zip(*part, strict=True)}
             exact, size = np.array([by_meter[m] for m in scenario.meters], dtype=float).reshape(-1, 2).T
         else:
-            exact, size = read_exactly(truth, scenario.meters)
+            exact, size = _read_in_service(truth, scenario.meters)
         values, sigmas = _read(scenario, scan, exact, size)
     missing = []
     if scenario.faults.telemetry.missing > 0:
         missing = [k for k, meter in enumerate(scenario.meters) if _is_missing(scenario, scan, meter)]
     return Scan(values, sigmas, missing, truth, area_power_flows)
+
+
+def _solve_with_supply(network: Network) -> PowerFlowResult:
+    """The power flow of the part of ``network`` that has supply; 0 elsewhere."""
+    fed, _ = take_fed(network, ())
+    flow = solve_power_flow(fed)
+    if fed is network:
+        return flow
+    rows = [network.node(*node) for node in fed.nodes]
+    vm, va, injection = np.zeros(network.n_nodes), np.zeros(network.n_nodes), np.zeros(network.n_nodes, dtype=complex)
+    vm[rows], va[rows], injection[rows] = flow.vm, flow.va, flow.injection
+    return replace(flow, network=network, vm=vm, va=va, injection=injection)
+
+
+def _read_in_service(truth: PowerFlowResult, meters: Sequence[Meter]) -> tuple[np.ndarray, np.ndarray]:
+    """Readings and sizes of ``read_exactly``, 0 at open branches; the size of a voltage is 1 p.u. without supply."""
+    rows = find_meters_in_service(truth.network, meters)
+    if rows is None:
+        exact, size = read_exactly(truth, meters)
+    else:
+        exact, size = np.zeros(len(meters)), np.zeros(len(meters))
+        exact[rows], size[rows] = read_exactly(truth, take_items(meters, rows))
+    if not truth.vm.all():
+        size[(QUANTITY[number_kinds(meters)] == Quantity.VM) & (size == 0)] = 1.0
+    return exact, size
 
 
 def find_lateness(scenario: Scenario, scan: int) -> dict[str, float]:

@@ -178,13 +178,15 @@ class ScanReadings:
     def take(self, message: TelemetryMessage, now: float) -> TelemetryUpdate:
         """Keeps telemetry that is newer than the last; returns its use."""
         self.store.take(message, now + self.clock_offset)
-        if message.header.sender != self._leader:
-            return TelemetryUpdate.NONE
-        if not self._is_newer(message, now):
-            return TelemetryUpdate.NONE
-        self._renumber(message)
-        self._last = message
-        return self._file(message, now)
+        is_operated = self.store.statuses.take(message, now + self.clock_offset) and self.are_there
+        update = TelemetryUpdate.NONE
+        if message.header.sender == self._leader and self._is_newer(message, now):
+            self._renumber(message)
+            self._last = message
+            update = self._file(message, now)
+        if is_operated and update is TelemetryUpdate.NONE:
+            self._takes_anew, update = True, TelemetryUpdate.LATE
+        return update
 
     def _renumber(self, message: TelemetryMessage) -> None:
         """Finds the offset of the plant, so that terms never go back.
@@ -254,10 +256,9 @@ class ScanReadings:
 
         Returns whether the readings must be taken again for this command; the next term does so.
         """
-        off, closed = frozenset(ordered.meters_off), dict(self.store.closed)
-        closed |= {switch: status for switch, status in ordered.switches.items() if switch in closed}
-        is_change = (off, closed) != (self.store.off, self.store.closed)
-        self.store.off, self.store.closed = off, closed
+        off = frozenset(ordered.meters_off)
+        is_change = self.store.statuses.follow(ordered.switches) or off != self.store.off
+        self.store.off = off
         is_due = (is_change or ordered.scan) and self.are_there
         self._takes_anew |= is_due
         return is_due
@@ -362,6 +363,7 @@ class TickReadings(ScanReadings):
         """Keeps newer readings, which wait for the next tick, unless this one has none; returns their use."""
         self._is_received = True
         is_changed = self.store.take(message, now + self.clock_offset)
+        self.store.statuses.take(message, now + self.clock_offset)
         if not self.scan:
             return TelemetryUpdate.NONE
         if not self.are_there:

@@ -300,6 +300,13 @@ def find_dead_sections(places: Sequence[str], energised: Sequence[str], opened: 
         yield Finding(GOOD, f"without supply: buses {', '.join(places)}{around}", "without supply", places)
 
 
+def find_unknown_statuses(unknown: Mapping[str, str]) -> Iterator[Finding]:
+    """Yields a finding for each switch of ``unknown`` status; the text is what is told of it."""
+    for switch, told in sorted(unknown.items()):
+        what = f"status of switch {switch} unknown: {told}; it stays as it was"
+        yield Finding(DEGRADED, what, "status unknown", [switch])
+
+
 def find_meters_off(meters: Sequence[str]) -> Iterator[Finding]:
     """Yields a finding for the meters that the operator has switched off."""
     if meters:

@@ -22,6 +22,7 @@ from functools import cached_property
 from agents.messages.packing import Incarnation, TelemetryMessage
 from agents.peers.rejections import find_reading_rejection
 from agents.protocol.configuration import Configuration
+from agents.protocol.statuses import Statuses
 from dsse_core.exchange.boundary_load import Loads, measured_net_loads, own_net_loads
 from dsse_core.grid.measurement import Measurement, Meter, Source
 from dsse_core.reading_rules import ANYBODY, SCAN_SHARE, KindRule, allowed_lead_s, replaces
@@ -60,8 +61,7 @@ class ReadingStore:
 
     ``newest``: meter id -> its newest reading. ``why_rejected``: meter id -> reason for which a newer one was rejected.
     ``rejected``: number of rejected readings, by reason. ``off``: ids of the meters that the operator has switched off,
-    which the next snapshot leaves out. ``closed``: switch of the area -> True where it is closed, from the next term
-    on: as in the area file, or as the operator has said.
+    which the next snapshot leaves out. ``statuses``: of the switches of the area.
     """
 
     def __init__(self, content: Configuration) -> None:
@@ -69,8 +69,8 @@ class ReadingStore:
         self.why_rejected: dict[str, str] = {}
         self.rejected: Counter[str] = Counter()
         self.off: frozenset[str] = frozenset()
-        self.closed = dict(content.area.network.switches)
         self.lead_s = allowed_lead_s(content.scan_s)
+        self.statuses = Statuses(content.area.network.switches, content.readings, self.lead_s)
         self._rules = content.readings
         self._all_at_every_scan = not any(rule.period_s for rule in content.readings.kinds.values())
         self._meters = {meter.id: meter for meter in content.meters if meter.source is not Source.VIRTUAL}
@@ -135,7 +135,7 @@ class ReadingStore:
         columns = message.meters, message.values, message.sigmas, message.times, message.valid
         for meter_id, value, sigma, time, is_valid in zip(*columns, strict=True):
             meter = self._meters.get(meter_id)
-            if self.is_of_scan(meter, gateway):
+            if self.is_of_scan(meter, gateway) or meter_id in self.statuses.meters:
                 continue
             reading = Reading(value, sigma, (time, gateway, order))
             known = self.newest.get(meter_id)
@@ -275,6 +275,8 @@ class Readings:
         for meter_id, value, sigma, time, is_valid in zip(*columns, strict=True):
             meter = self._meters.get(meter_id)
             if meter_id in store.off or (meter is not None and not store.is_of_scan(meter, gateway)):
+                continue
+            if meter_id in store.statuses.meters:
                 continue
             if reason := store.find_rejection(meter_id, gateway, value, sigma, is_valid=is_valid):
                 if reason == INVALID:

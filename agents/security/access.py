@@ -170,8 +170,8 @@ def _rights_of_plant(access: Access) -> Rights:
     return Rights(
         publishes=tuple(telemetry_key(run, area) for area in areas),
         shows=(all_incarnations(run, "plant", PLANT),),
-        subscribes=(command,),
-        receives=(command,),
+        subscribes=(command, clock_key(run)),
+        receives=(command, clock_key(run)),
         sees=(all_incarnations(run, "area", "*"), all_incarnations(run, "plant", PLANT)),
         is_received_by=(*(all_telemetry(run, area) for area in areas), all_live(run)),
     )

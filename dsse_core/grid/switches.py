@@ -16,6 +16,19 @@ from dsse_core.grid.network import Network
 Status = Literal["open", "closed"]
 OPEN: Status = "open"
 CLOSED: Status = "closed"
+UNKNOWN = "unknown"
+STATUS = "status"  # kind of the readings of statuses
+READ_AS: dict[str, float] = {OPEN: 0.0, CLOSED: 1.0}  # value of such a reading; others are of no status
+
+
+def name_status_meter(switch: str) -> str:
+    """The id of the status of ``switch`` among the readings of meters."""
+    return f"{STATUS}@{switch}"
+
+
+def read_status(value: float) -> str:
+    """The status that a reading states."""
+    return next((status for status, number in READ_AS.items() if value == number), UNKNOWN)
 
 
 def name_statuses(closed: Mapping[str, bool]) -> dict[str, str]:
@@ -26,6 +39,11 @@ def name_statuses(closed: Mapping[str, bool]) -> dict[str, str]:
 def read_statuses(named: Mapping[str, str]) -> dict[str, bool]:
     """Switch -> True where it is closed, of the statuses that a message names; others than these two are left out."""
     return {switch: status == CLOSED for switch, status in named.items() if status in (OPEN, CLOSED)}
+
+
+def take_own(network: Network, statuses: Mapping[str, str]) -> dict[str, str]:
+    """The ``statuses`` of switches of ``network``."""
+    return {switch: status for switch, status in statuses.items() if switch in network.switches}
 
 
 def take_fed(network: Network, readings: Sequence[Measurement]) -> tuple[Network, Sequence[Measurement]]:
@@ -46,18 +64,18 @@ def take_fed(network: Network, readings: Sequence[Measurement]) -> tuple[Network
 
 def keep_in_service(network: Network, readings: Sequence[Measurement]) -> Sequence[Measurement]:
     """``readings`` without those of meters at branches that are open."""
-    rows = _find_rows(network, read_meters_of(readings))
+    rows = find_meters_in_service(network, read_meters_of(readings))
     return readings if rows is None else take_items(readings, rows)
 
 
 def keep_meters_in_service(network: Network, meters: Sequence[Meter]) -> Sequence[Meter]:
     """``meters`` without those at branches that are open."""
-    rows = _find_rows(network, meters)
+    rows = find_meters_in_service(network, meters)
     return meters if rows is None else take_items(meters, rows)
 
 
-def _find_rows(network: Network, meters: Sequence[Meter]) -> np.ndarray | None:
-    """The positions of the meters that are not at open branches; None where these are all."""
+def find_meters_in_service(network: Network, meters: Sequence[Meter]) -> np.ndarray | None:
+    """The positions of ``meters`` that are not at open branches; None where these are all."""
     if network.table.in_service.all():
         return None
     is_open = {branch.id for branch in network.branches if not branch.in_service}

@@ -30,21 +30,24 @@ LinkChanges = Mapping[str, float]
 ROUTERS = ("router", "router2")
 PROCESSES = ("plant", *ROUTERS)
 ALL_AREAS = "all"  # in place of the name of an area; no area has this name
-EventKind = Literal["kill", "restart", "pause", "cut", "silent"]
+EventKind = Literal["kill", "restart", "pause", "cut", "silent", "switch"]
 
 
 @dataclass(frozen=True, slots=True)
 class FaultEvent:
     """At ``at_s`` after the start of the run (all areas on the bus) ``kind`` happens to ``names``, for ``for_s``.
 
-    ``names``: an area, ``plant``, ``router`` or ``router2``; two areas for a cut. ``for_s``: 0 for what happens in a
-    moment.
+    ``names``: an area, ``plant``, ``router`` or ``router2``; two areas for a cut; a switch. ``for_s``: 0 for what
+    happens in a moment; of a switch the delay of the status that is read. ``to``: status of the switch from then on;
+    ``status``: the one that is read instead, empty without one.
     """
 
     at_s: float
     kind: EventKind
     names: tuple[str, ...]
     for_s: float = 0.0
+    to: str = ""
+    status: str = ""
 
     @property
     def over_s(self) -> float:
@@ -104,7 +107,10 @@ def build_faults(table: FaultsTable, partition: Partition) -> Faults:
         )
         for link in find_links(partition)
     }
-    events = [FaultEvent(e.at_s, e.kind, e.names, e.for_s or 0.0) for e in table.events]  # type: ignore[arg-type]
+    events = [
+        FaultEvent(e.at_s, e.kind, e.names, e.over_s - e.at_s, e.to or "", e.status or "")  # type: ignore[arg-type]
+        for e in table.events
+    ]
     return Faults(
         links,
         TelemetryFaults(**table.telemetry.model_dump()),
@@ -215,6 +221,8 @@ def find_name_problems(table: FaultsTable, areas: Collection[str] | None, router
             if name not in areas:
                 yield f"faults.link[{i}].{key}: there is no area {name!r}; areas: {known}"
     for i, event in enumerate(table.events, 1):
+        if event.kind == "switch":
+            continue
         processes = () if event.kind == "cut" else PROCESSES[: 1 + routers]
         for name in event.names:
             if name not in areas and name not in processes:
@@ -225,7 +233,9 @@ def find_name_problems(table: FaultsTable, areas: Collection[str] | None, router
 
 
 def find_link_problems(table: FaultsTable, partition: Partition) -> Iterable[str]:
-    """Links and cuts between areas that are no neighbours, links that are given twice, and lies of both directions."""
+    """Links and cuts between areas that are no neighbours, links that are given twice, lies of both directions, and
+    branches that are no switches.
+    """
     links = find_links(partition)
     areas = {area.name for area in partition.areas}
     pairs = listed([f"{a} to {b}" for a, b in links]) or "none"
@@ -240,14 +250,20 @@ def find_link_problems(table: FaultsTable, partition: Partition) -> Iterable[str
     for i, event in enumerate(table.events, 1):
         if event.kind == "cut" and set(event.names) <= areas and event.names not in links:
             yield f"faults.events[{i}].cut: {' and '.join(event.names)} are not neighbours; links: {pairs}"
+        if event.switch is not None and event.switch not in partition.network.switches:
+            known = listed(sorted(partition.network.switches)) or "none"
+            yield (
+                f"faults.events[{i}].switch: there is no switch {event.switch!r}; switches: {known}; a branch becomes "
+                "one by `switch = true` in the network file"
+            )
 
 
 def find_time_problems(events: Sequence[EventTable], timeout_s: float) -> Iterable[str]:
     """Events that the time limit of the run would cut off."""
     for i, event in enumerate(events, 1):
-        if _over_s(event) >= timeout_s:
+        if event.over_s >= timeout_s:
             yield (
-                f"faults.events[{i}]: is over {_over_s(event):g} s after the start, but run.timeout_s is "
+                f"faults.events[{i}]: is over {event.over_s:g} s after the start, but run.timeout_s is "
                 f"{timeout_s:g}; raise timeout_s or let it happen earlier"
             )
 
@@ -259,12 +275,13 @@ def find_order_problems(events: Sequence[EventTable]) -> Iterable[str]:
     for i, event in sorted(enumerate(events, 1), key=lambda item: item[1].at_s):
         whom = frozenset(event.names)
         j = lasting.get(whom)
-        if j is not None and event.at_s < _over_s(events[j - 1]):
+        if j is not None and event.at_s < events[j - 1].over_s:
             yield (
                 f"faults.events[{i}].{event.kind}: falls into faults.events[{j}], {_describe(events[j - 1])} until "
-                f"{_over_s(events[j - 1]):g} s; let it happen earlier or later"
+                f"{events[j - 1].over_s:g} s; let it happen earlier or later"
             )
-        dead = [name for name in event.names if name in killed] if event.kind not in ("restart", "cut") else []
+        meets_living = event.kind in ("kill", "pause", "silent")
+        dead = [name for name in event.names if name in killed] if meets_living else []
         for name in dead:
             yield (
                 f"faults.events[{i}].{event.kind}: {name} is dead by then, killed by faults.events[{killed[name]}]; "
@@ -276,10 +293,6 @@ def find_order_problems(events: Sequence[EventTable]) -> Iterable[str]:
             lasting[whom] = i
         if event.kind == "kill":
             killed[event.names[0]] = i
-
-
-def _over_s(event: EventTable) -> float:
-    return event.at_s + (event.for_s or 0.0)
 
 
 def _describe(event: EventTable) -> str:

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from scenarios.faults.faults import FaultEvent
 
 UNDO = {"pause": "resume", "cut": "heal", "silent": "speak"}
+LATER = UNDO | {"switch": "status"}
+SWITCHING = ("switch", "status")  # after which the plant reads something else
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +34,8 @@ class FaultSchedule:
     @classmethod
     def of(cls, events: Sequence[FaultEvent]) -> FaultSchedule:
         steps = [Step(event.at_s, event.kind, event.names) for event in events]
-        steps += [Step(event.over_s, UNDO[event.kind], event.names) for event in events if event.kind in UNDO]
+        lasting = [event for event in events if event.kind in UNDO or event.for_s]
+        steps += [Step(event.over_s, LATER[event.kind], event.names) for event in lasting]
         # at equal times ends come first: a pause that begins when another ends must last
         return cls(sorted(steps, key=lambda step: (step.at_s, step.kind not in UNDO.values())))
 

@@ -11,6 +11,7 @@ from dsse_core.limits import LONGEST_NAME, ClockError, Milliseconds, Moment, Not
 
 MOMENTARY = ("kill", "restart")
 LASTING = ("pause", "cut", "silent")
+KINDS = (*MOMENTARY, *LASTING, "switch")
 
 
 class BurstTable(Table):
@@ -120,11 +121,24 @@ class EventTable(Table):
     """The plant stays on the bus and sends nothing for `for_s`."""
     for_s: Seconds | None = None
     """Duration of `pause`, `cut` and `silent`, which need it."""
+    switch: str | None = None
+    """Switch of the network that is operated; the plant reads its status from the start."""
+    to: Literal["open", "closed"] | None = None
+    """The status of `switch` from then on."""
+    status_after_s: Seconds | None = None
+    """Delay of the status as the plant reads it."""
+    status: Literal["open", "closed", "unknown"] | None = None
+    """The status that the plant reads from then on, instead of `to`."""
 
     @property
     def kind(self) -> str:
-        """The kind of the event: the key that is given, one of five."""
-        return next(kind for kind in (*MOMENTARY, *LASTING) if getattr(self, kind) is not None)
+        """The kind of the event: the key that is given, one of six."""
+        return next(kind for kind in KINDS if getattr(self, kind) is not None)
+
+    @property
+    def over_s(self) -> float:
+        """The time at which the event is over, s."""
+        return self.at_s + (self.for_s or self.status_after_s or 0.0)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -134,16 +148,21 @@ class EventTable(Table):
 
     @model_validator(mode="after")
     def _is_one_event(self) -> Self:
-        given = [kind for kind in (*MOMENTARY, *LASTING) if getattr(self, kind) is not None]
+        given = [kind for kind in KINDS if getattr(self, kind) is not None]
         if len(given) != 1:
             found = " and ".join(given) or "none"
-            raise ValueError(f"give exactly one of kill, restart, pause, cut and silent, found {found}")
+            raise ValueError(f"give exactly one of kill, restart, pause, cut, silent and switch, found {found}")
         if self.cut is not None and len(set(self.cut)) != 2:
             raise ValueError(f"cut must name two neighbouring areas, found {self.cut!r}")
         if given[0] in LASTING and self.for_s is None:
             raise ValueError(f"{given[0]} lasts; say how long with for_s")
-        if given[0] in MOMENTARY and self.for_s is not None:
+        if given[0] not in LASTING and self.for_s is not None:
             raise ValueError(f"{given[0]} happens in a moment; remove for_s")
+        if self.switch is not None and self.to is None:
+            raise ValueError('switch needs its status from then on: to = "open" or "closed"')
+        of_switch = [key for key in ("to", "status_after_s", "status") if getattr(self, key) is not None]
+        if self.switch is None and of_switch:
+            raise ValueError(f"{given[0]} takes no {' nor '.join(of_switch)}, which are of a switch; remove them")
         return self
 
 

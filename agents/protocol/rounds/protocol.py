@@ -242,7 +242,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         """Begins round 0 with the readings."""
         self._has_loads_to_send = True
         loads = self._received_loads()
-        closed = self._scan.store.closed
+        closed = self._scan.store.statuses.closed
         self.round.begin(self._scan.readings.measurements, stale=self._scan.stale, loads=loads, closed=closed)
         yield from self._go_on()
 

@@ -41,6 +41,7 @@ from agents.protocol.quality import (
     find_overdue_readings,
     find_rejected_clocks,
     find_skewed_clocks,
+    find_unknown_statuses,
     find_unreadable_payloads,
 )
 from agents.protocol.readings import Ages
@@ -266,6 +267,7 @@ class RoundsState:
             yield from find_missing_readings(self._scan.readings.unread, self._scan.readings.invalid)
             yield from find_left_out_readings(self._scan.readings)
         yield from find_meters_off(self._published.ordered.meters_off)
+        yield from find_unknown_statuses(self._scan.store.statuses.unknown)
 
     def _aging(self, term: Term, now: float) -> Iterator[Finding]:
         """Yields findings on data that have grown old since the outcome, or are being replaced."""

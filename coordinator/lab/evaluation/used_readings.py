@@ -5,6 +5,7 @@ Only the areas know them where readings age, or clocks number scans: they may di
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -28,6 +29,7 @@ class UsedReadings:
         self._meters = {meter.id: meter for meter in scenario.meters} if self._is_needed else {}
         self._virtual = [meter for meter in self._meters.values() if meter.source is Source.VIRTUAL]
         self._newest: dict[str, ReadingsMessage] = {}
+        self.operated_at = 0.0  # when a switch, or the status that is read of it, last changed, s since 1970
 
     def take(self, message: ReadingsMessage) -> None:
         """Keep the readings that an area has published, if they are newer than its last."""
@@ -45,6 +47,8 @@ class UsedReadings:
                 state.taken_at,
             ):
                 yield f"which readings {name} has used in scan {state.header.scan} is not known yet"
+            elif max(used.times, default=math.inf) < self.operated_at:
+                yield f"{name} has used no reading since a switch was operated"
 
     def put_into(self, telemetry: Telemetry, states: Mapping[str, StateMessage]) -> Telemetry:
         """``telemetry`` with the readings used in ``states``; if readings do not age, without meters that are off, or

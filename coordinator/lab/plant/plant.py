@@ -11,7 +11,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from agents.messages.keys import all_incarnations, command_key, live_key, name_of_live, telemetry_key
+from agents.messages.checks import MessageError
+from agents.messages.keys import all_incarnations, clock_key, command_key, live_key, name_of_live, telemetry_key
+from agents.messages.packing import ClockMessage, decode
 from agents.orders.order_book import BY_OPERATOR, STOPPED_CODE, OrderBook
 from agents.protocol.events import Event, Ordered, StopRequested
 from agents.runtime.duplicate_guard import GIVES_WAY, REPLACED_CODE, DuplicateGuard, ReplacedError
@@ -53,7 +55,7 @@ def run_plant(
     the first scan, above those of all earlier plants of the run. ``every_s``: time from one scan to the next; None for
     a single scan. Signal ``SILENT`` makes the plant publish nothing until signal ``RESUME``. ``keys``: folder of the
     plant's credentials. ``direct``: ``endpoints`` are those of all areas, not of routers. If no area appears for
-    ``timeout_s``, the plant logs a warning.
+    ``timeout_s``, the plant logs a warning. Where events operate switches, the run's clock says when.
     """
     start_log()
     inbox = Inbox()
@@ -75,16 +77,18 @@ def run_plant(
             log.info("plant of run %s, seed %s, %s areas", run, scans.seed, len(payloads))
             guard = DuplicateGuard(f"plant of run {run}", incarnation, time.monotonic(), scans.heartbeat_s)
             orders = OrderBook(PLANT, run, began_at=incarnation.start_ms / 1000)
-            loop = PlantLoop(publishers, inbox, scans.heartbeat_s, guard, session, orders)
+            loop = PlantLoop(publishers, inbox, scans.heartbeat_s, guard, session, orders, scans.find_next)
             loop.no_area = NoAreaWarning(
                 time.monotonic() + timeout_s, f"of run {run} within {timeout_s:g} s", endpoints
             )
+            if scans.find_next(0.0) is not None:
+                session.subscribe(clock_key(run), lambda key, payload: inbox.put(key, _ClockReceived(payload)))
             loop.follow_signals()
             loop.watchdog.ready(time.monotonic())
             try:
                 while not loop.publish_scan(payloads, scans.late_s(scan), every_s or math.inf):
                     scan += 1
-                    payloads = scans.payloads(run, incarnation, scan)
+                    payloads = scans.payloads(run, incarnation, scan, loop.elapsed_s)
             except ReplacedError:
                 send_leave(GIVES_WAY.encode())
                 raise
@@ -111,6 +115,14 @@ class _CommandReceived:
     """A payload received on the key of the operator's commands."""
 
     payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class _ClockReceived:
+    """A payload received on the key of the run's clock, at monotonic time ``at``, s."""
+
+    payload: bytes
+    at: float = field(default_factory=time.monotonic)
 
 
 @dataclass
@@ -140,6 +152,9 @@ class PlantLoop:
     guard: DuplicateGuard
     bus: RenewableBus
     orders: OrderBook
+    find_next: Callable[[float], float | None] = lambda _: None  # of ``Scans``
+    elapsed_s: float = 0.0  # from the start of the run to the newest scan
+    began_at: float = math.inf  # monotonic time of the start of the run, by its clock
     stop_reason: str = "stopped"
     silent: bool = False
     no_area: NoAreaWarning = field(default_factory=NoAreaWarning)
@@ -156,9 +171,10 @@ class PlantLoop:
             ReplacedError: another plant of the run began later.
         """
         start = next_heartbeat = time.monotonic()
-        over = start + duration_s
+        next_change = self.find_next(self.elapsed_s)
         while True:  # once at least: the next scan may be due already
             now = time.monotonic()
+            over = min(start + duration_s, math.inf if next_change is None else self.began_at + next_change)
             if now >= next_heartbeat:
                 next_heartbeat = now + self.heartbeat_s
                 self._due |= dict.fromkeys(payloads)
@@ -175,15 +191,28 @@ class PlantLoop:
             if None in updates:
                 return True
             self._check_duplicates([item for item in updates if isinstance(item, tuple)])
+            self._take_clock([item for item in updates if isinstance(item, _ClockReceived)])
             names = [name_of_live(key)[1] for key in updates if isinstance(key, str)]
             self.no_area.check(names, time.monotonic())
             commands = [event for item in updates if isinstance(item, _CommandReceived) for event in self._follow(item)]
             if any(isinstance(event, StopRequested) for event in commands):
                 self.stop_reason = BY_OPERATOR
                 return True
-            if time.monotonic() >= over or any(isinstance(event, Ordered) and event.scan for event in commands):
+            is_over = time.monotonic() >= over
+            if is_over or any(isinstance(event, Ordered) and event.scan for event in commands):
+                self.elapsed_s = max(self.elapsed_s, time.monotonic() - self.began_at)
                 return False
             self._due |= dict.fromkeys(name for name in names if name in payloads)
+
+    def _take_clock(self, received: Sequence[_ClockReceived]) -> None:
+        for item in received:
+            try:
+                message = decode(item.payload)
+            except MessageError as error:
+                log.warning("the plant rejects a payload on the clock's key: %s", error)
+            else:
+                if isinstance(message, ClockMessage):
+                    self.began_at = item.at - message.elapsed_s
 
     def _follow(self, command: _CommandReceived) -> Iterator[Event]:
         return self.orders.take(command.payload, time.time())

@@ -12,8 +12,10 @@ from typing import Protocol
 from agents.messages.packing import Incarnation
 from coordinator.lab.deployment.split import find_split
 from coordinator.lab.plant.held_readings import HeldReadings
-from coordinator.lab.plant.telemetry_messages import DRAW, encode_readings, make_payloads, read
+from coordinator.lab.plant.telemetry_messages import DRAW, encode_readings, read
+from dsse_core.grid.switches import take_own
 from dsse_core.split_identity import SplitIdentity
+from scenarios.faults.switching import find_next, find_operated
 from scenarios.scenario import Scenario
 from scenarios.telemetry import Telemetry, find_lateness, make_telemetry
 
@@ -33,8 +35,12 @@ class Scans(Protocol):
     @property
     def split(self) -> SplitIdentity: ...
 
-    def payloads(self, run: str, incarnation: Incarnation, scan: int) -> dict[str, bytes]:
-        """Area -> its encoded readings."""
+    def payloads(self, run: str, incarnation: Incarnation, scan: int, elapsed_s: float = 0.0) -> dict[str, bytes]:
+        """Area -> its encoded readings, ``elapsed_s`` after the start of the run, which says how switches stand."""
+        ...
+
+    def find_next(self, elapsed_s: float) -> float | None:
+        """The next time after ``elapsed_s`` at which a switch or its status changes, s; None without one."""
         ...
 
     def late_s(self, scan: int) -> Mapping[str, float]:
@@ -57,13 +63,21 @@ class OwnScans:
     def heartbeat_s(self) -> float:
         return self.scenario.run.beat_s
 
-    def payloads(self, run: str, incarnation: Incarnation, scan: int) -> dict[str, bytes]:
-        draw = scan if self.many else DRAW
-        if self.scenario.renew_s is None:
-            return make_payloads(self.scenario, run, incarnation, scan, draw, self.split)
-        by_area, read_at = self._held.take(make_telemetry(self.scenario, draw).by_area, time.time())
-        readings = ((area, read(part, read_at)) for area, part in by_area.items())
+    def payloads(self, run: str, incarnation: Incarnation, scan: int, elapsed_s: float = 0.0) -> dict[str, bytes]:
+        scenario, now = self.scenario, time.time()
+        operated = find_operated(scenario.faults.events, scenario.network.switches, elapsed_s)
+        by_area = make_telemetry(scenario, scan if self.many else DRAW, operated.closed).by_area
+        read_at: float | Mapping[str, float] = now
+        if scenario.renew_s is not None:
+            by_area, read_at = self._held.take(by_area, now)
+        readings = (
+            (area.name, read(by_area[area.name], read_at).with_statuses(take_own(area.network, operated.read), now))
+            for area in scenario.partition.areas
+        )
         return encode_readings(readings, run, incarnation, scan, self.split)
+
+    def find_next(self, elapsed_s: float) -> float | None:
+        return find_next(self.scenario.faults.events, elapsed_s)
 
     def late_s(self, scan: int) -> Mapping[str, float]:
         return find_lateness(self.scenario, scan)
@@ -98,10 +112,13 @@ class MadeScan:
         readings = {area: pickle.dumps(read(part, now)) for area, part in telemetry.by_area.items()}
         return cls(readings, find_lateness(scenario, DRAW), scenario.seed, scenario.run.beat_s, find_split(scenario))
 
-    def payloads(self, run: str, incarnation: Incarnation, scan: int) -> dict[str, bytes]:
+    def payloads(self, run: str, incarnation: Incarnation, scan: int, elapsed_s: float = 0.0) -> dict[str, bytes]:
         now = time.time()
         unpacked = ((area, pickle.loads(part).measured_at(now)) for area, part in self.readings.items())
         return encode_readings(unpacked, run, incarnation, scan, self.split)
 
     def late_s(self, scan: int) -> Mapping[str, float]:
         return self.lateness
+
+    def find_next(self, elapsed_s: float) -> float | None:
+        return None

@@ -13,21 +13,35 @@ from agents.security.access import PLANT
 from dsse_core.grid.columns import read_column, take_items
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.meter_table import find_virtual, list_ids, read_meters_of
+from dsse_core.grid.switches import READ_AS, name_status_meter
 from dsse_core.split_identity import NO_SPLIT, SplitIdentity
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 
 DRAW = 1  # of the noise: the same readings for the same seed
+NO_STATUS: Mapping[str, str] = {}
 
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """Readings of the meters of one area at ``times``, s since 1970; p.u. and rad."""
+    """Readings of the meters of one area at ``times``, s since 1970; p.u. and rad. ``valid``: known."""
 
     meters: tuple[str, ...]
     values: tuple[float, ...]
     sigmas: tuple[float, ...]
     times: tuple[float, ...]
+    valid: tuple[bool, ...]
+
+    def with_statuses(self, statuses: Mapping[str, str], time: float) -> Readings:
+        """These readings, and those of ``statuses``, of switch -> status, at ``time``, s since 1970."""
+        count = len(statuses)
+        return Readings(
+            (*self.meters, *map(name_status_meter, statuses)),
+            (*self.values, *(READ_AS.get(status, 0.0) for status in statuses.values())),
+            (*self.sigmas, *(0.0,) * count),
+            (*self.times, *(time,) * count),
+            (*self.valid, *(status in READ_AS for status in statuses.values())),
+        )
 
     def measured_at(self, time: float) -> Readings:
         """The same values, read at ``time``, s since 1970."""
@@ -47,6 +61,7 @@ def read(measurements: Sequence[Measurement], measured_at: float | Mapping[str, 
         tuple(read_column(readings, "value", float).tolist()),
         tuple(read_column(readings, "sigma", float).tolist()),
         (measured_at,) * len(ids) if isinstance(measured_at, float) else tuple(measured_at[k] for k in ids),
+        (True,) * len(ids),  # all meters of a simulated plant are sound
     )
 
 
@@ -76,12 +91,13 @@ def encode_readings(
     return {area: encode(_message(header, area, part, split)) for area, part in readings}
 
 
-def make_message(header: Header, area: str, measurements: Sequence[Measurement]) -> TelemetryMessage:
-    """One scan of ``area``'s meters as a message."""
-    return _message(header, area, read(measurements, header.time))
+def make_message(
+    header: Header, area: str, measurements: Sequence[Measurement], statuses: Mapping[str, str] = NO_STATUS
+) -> TelemetryMessage:
+    """One scan of ``area``'s meters as a message. ``statuses``: switch of the area -> its status as it is read."""
+    return _message(header, area, read(measurements, header.time).with_statuses(statuses, header.time))
 
 
 def _message(header: Header, area: str, readings: Readings, split: SplitIdentity = NO_SPLIT) -> TelemetryMessage:
-    count = len(readings.meters)  # all meters of a simulated plant are sound
-    columns = readings.meters, readings.values, readings.sigmas, readings.times, (True,) * count
+    columns = readings.meters, readings.values, readings.sigmas, readings.times, readings.valid
     return TelemetryMessage(header, area, *columns, split)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 import time
 from collections.abc import Callable
@@ -26,6 +27,7 @@ from coordinator.lab.evaluation.evaluation import (
 )
 from coordinator.lab.evaluation.result import RunResult, write_files
 from coordinator.lab.plant.plant import RESUME, SILENT
+from coordinator.lab.plant.telemetry_messages import DRAW
 from coordinator.lab.process_run.compile_clock import clock
 from coordinator.lab.process_run.processes import Launcher, LaunchError
 from coordinator.lab.process_run.run_keys import folder_of_keys
@@ -47,9 +49,10 @@ from coordinator.watch.observe.switches import find_statuses
 from coordinator.watch.run_folder import EVENTS, PARTS, RECORDING, make_run_folder
 from dsse_core.estimation.plan import FEWEST_BUSES_OF_RADIAL
 from dsse_core.linear import needs_compiled_code
-from scenarios.faults.schedule import Step
+from scenarios.faults.schedule import SWITCHING, Step
+from scenarios.faults.switching import find_next, find_operated
 from scenarios.scenario import Scenario
-from scenarios.telemetry import Telemetry, expect_telemetry
+from scenarios.telemetry import Telemetry, expect_telemetry, make_telemetry
 
 DAYS_OF_A_RUN = 1.0  # that the keys of one secured run are valid
 # From this number of areas on, the parent of all processes rehearses, and the areas have cores and memory to
@@ -172,10 +175,12 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
         telemetry = expect_telemetry(scenario)  # of fewer areas made while they join
         if reason is None and scenario.telemetry.source != "live":
             run.note_time("plant_started")
-            run.system.start_plant(telemetry if scenario.renew_s is None else None)
+            is_only = scenario.renew_s is None and find_next(scenario.faults.events, -1.0) is None
+            run.system.start_plant(telemetry if is_only else None)
         telemetry = _keep_compared(telemetry)
         beside = None if has_many else start_reference_estimate(lambda: _estimate_centralised(run, scenario, telemetry))
         reason = reason or _watch(run, observer, on_update)
+        made, telemetry = telemetry, _find_telemetry(run, telemetry)
         used = run.used.put_into(telemetry, observer.states)
         operated = scenario.operated(find_statuses(scenario.partition, observer.states))
         wall_s = time.monotonic() - run.started
@@ -183,7 +188,7 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
     run.note_time("verdict")
     run.events.write("consensus" if reason is None else "no consensus", reason=reason)
     run.system.launcher.stop()  # the processes end while the files are written
-    is_made = used is telemetry and operated is scenario
+    is_made = used is made and operated is scenario
     centralised = _find_centralised(run, operated, used, beside if is_made else None)
     outcome = evaluate(
         scenario,
@@ -203,6 +208,15 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
     if INTERRUPTED in (reason, centralised.failure):
         raise KeyboardInterrupt
     return result
+
+
+def _find_telemetry(run: RunUnderWay, made: Telemetry) -> Telemetry:
+    """The telemetry by the switches as events have operated them by now; ``made``: that of the start."""
+    events, elapsed_s = run.scenario.faults.events, time.monotonic() - (run.joined or math.inf)
+    closed = find_operated(events, run.scenario.network.switches, elapsed_s).closed
+    if closed.items() <= run.scenario.network.switches.items():
+        return made
+    return _keep_compared(make_telemetry(run.scenario, DRAW, closed))
 
 
 def _keep_compared(telemetry: Telemetry) -> Telemetry:
@@ -289,6 +303,8 @@ def _carry_out_faults(run: RunUnderWay, observer: Observer, now: float) -> None:
         for step in run.schedule.carry_out(now - run.joined, partial(do_to_processes, run.system)):
             run.events.write("fault", kind=step.kind, names=step.names)
             observer.take_fault(now)
+            if step.kind in SWITCHING:
+                run.used.operated_at = time.time()
 
 
 def do_to_processes(system: System, step: Step) -> None:
@@ -308,4 +324,4 @@ def do_to_processes(system: System, step: Step) -> None:
         case "speak":
             system.launcher.signal(PLANT, RESUME)
         case _:
-            pass  # the agents of the two areas cut and heal their link by the times in their area files
+            pass  # by the times in area files and scenario, agents cut and heal links, and the plant operates switches

@@ -26,6 +26,7 @@ from coordinator.watch.observe.updates import Updates
 from coordinator.watch.observe.watched_keys import PresenceByName, processes_of, readings_keys, state_keys
 from dsse_core.estimation.plan import EstimationPlan
 from scenarios.faults.schedule import FaultSchedule
+from scenarios.faults.switching import find_next
 from scenarios.scenario import Scenario
 
 
@@ -108,7 +109,8 @@ def listen_to_processes(run: RunUnderWay) -> None:
 def listen(run: RunUnderWay, session: Session) -> None:
     """Puts states, readings and presence into the run's updates, states and presence with the time of their arrival.
 
-    Announces the coordinator on the bus, and lets the run's clock publish if faults of links have windows.
+    Announces the coordinator on the bus, and lets the run's clock publish if faults of links have windows, or events
+    operate switches.
     """
 
     areas = {area.name for area in run.scenario.partition.areas}
@@ -136,7 +138,8 @@ def listen(run: RunUnderWay, session: Session) -> None:
             on_presence(key, False, leave_reason)
 
     PresenceByName(session, run.id, on_presence, on_leave).ask(processes_of(areas))
-    if any(faults.has_windows for faults in run.scenario.faults.links.values()):
+    faults = run.scenario.faults
+    if any(link.has_windows for link in faults.links.values()) or find_next(faults.events, -1.0) is not None:
         run.clock.publish = session.publisher(clock_key(run.id))
     session.declare_presence(live_key(run.id, "coordinator", COORDINATOR, run.clock.incarnation))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from coordinator.lab.evaluation.evaluation import (
 from coordinator.lab.evaluation.result import RunOutcome, RunResult, write_files
 from coordinator.lab.evaluation.used_readings import UsedReadings
 from coordinator.lab.plant.held_readings import HeldReadings
+from coordinator.lab.plant.telemetry_messages import DRAW
 from coordinator.lab.simulator.simulator import STARTED_AT, SimulatedBus
 from coordinator.lab.simulator.subscriber import SimulatedRecording, Subscriber
 from coordinator.lab.strategy_check import check_with_strategy
@@ -31,7 +32,8 @@ from coordinator.watch.observe.state_log import StateLog
 from coordinator.watch.observe.switches import find_statuses
 from coordinator.watch.run_folder import RECORDING, make_run_folder
 from scenarios.faults.faults import LinkChanges
-from scenarios.faults.schedule import FaultSchedule, Step
+from scenarios.faults.schedule import SWITCHING, FaultSchedule, Step
+from scenarios.faults.switching import Operated, find_operated
 from scenarios.scenario import Scenario
 from scenarios.telemetry import find_lateness, make_telemetry
 
@@ -95,6 +97,7 @@ class Simulation:
         self._started = time.monotonic()
         self._next_update = self._started
         self._scenario = scenario
+        self._closed: Mapping[str, bool] = {}  # switch that events have operated -> its true status
         self._events = events
         self._states = StateLog(events)
         self._schedule = FaultSchedule.of(scenario.faults.events)
@@ -102,7 +105,7 @@ class Simulation:
         self._subscriber = subscriber or Subscriber()
         self.id = f"{default_run_id(scenario.name)}-{scenario.seed % 2**32:08x}"  # as long as that of processes
         self._observer = make_observer(scenario, self.id)
-        self._telemetry = make_telemetry(scenario)
+        self._telemetry = self._first_telemetry = make_telemetry(scenario)
         self._centralised = estimate_centralised(scenario, self._telemetry)
         self._write(0.0, "run started", run=self.id, scenario=scenario.name, seed=scenario.seed)
         files = area_files(scenario, self.id, NO_BUS, time=STARTED_AT)
@@ -117,6 +120,7 @@ class Simulation:
             late_s=late_s,
             on_message=self._subscriber.take_message,
             on_readings=self._take_readings,
+            statuses=self._find_operated(0.0).read,
         )
         self._held = HeldReadings(scenario.common_rules.kinds)
         self._held.take(self._telemetry.by_area, STARTED_AT)
@@ -133,7 +137,7 @@ class Simulation:
             until = min(settings.timeout_s, self._schedule.next_at)
             self._bus.run(min(check_s, until - self._bus.now))
             now = self._bus.now
-            for step in self._schedule.carry_out(now, self._faults.do):
+            for step in self._schedule.carry_out(now, self._carry_out):
                 self._write(now, "fault", kind=step.kind, names=step.names)
                 self._observer.take_fault(now)
             standing = self._observer.standing(now)
@@ -146,18 +150,38 @@ class Simulation:
             if now >= settings.timeout_s:
                 return no_consensus_within(self._scenario, obstacles)
 
+    def _carry_out(self, step: Step) -> None:
+        """Carries out a step of the scenario. After a switch or its status has changed, the plant reads all meters."""
+        if step.kind not in SWITCHING:
+            self._faults.do(step)
+            return
+        operated = self._find_operated(self._bus.now)
+        self._closed, self._bus.statuses = operated.closed, operated.read
+        self._telemetry = make_telemetry(self._scenario, DRAW, self._closed)
+        if self._scenario.renew_s is None:
+            self._bus.next_scan(self._telemetry.by_area, find_lateness(self._scenario, self._bus.scan + 1))
+        else:
+            self._used.operated_at = STARTED_AT + self._bus.now
+            self._renew()
+
+    def _find_operated(self, elapsed_s: float) -> Operated:
+        return find_operated(self._scenario.faults.events, self._scenario.network.switches, elapsed_s)
+
     def _renew_later(self) -> None:
         """Schedules the next scan of the plant, if the scenario has an interval of scans."""
         if self._scenario.renew_s is not None:
-            self._bus.at(self._bus.now + self._scenario.renew_s, self._renew)
+            self._bus.at(self._bus.now + self._scenario.renew_s, self._renew_in_turn)
+
+    def _renew_in_turn(self) -> None:
+        self._renew()
+        self._renew_later()
 
     def _renew(self) -> None:
         scan = self._bus.scan + 1
-        fresh = make_telemetry(self._scenario, scan).by_area
+        fresh = make_telemetry(self._scenario, scan, self._closed).by_area
         readings, read_at = self._held.take(fresh, STARTED_AT + self._bus.now)
         times = {meter_id: at - STARTED_AT for meter_id, at in read_at.items()}
         self._bus.next_scan(readings, find_lateness(self._scenario, scan), times)
-        self._renew_later()
 
     def evaluate(self, reason: str | None) -> RunOutcome:
         """The outcome up to now. ``reason``: for which there is no consensus; None after consensus."""
@@ -166,7 +190,7 @@ class Simulation:
         self._write(now, "run ended")
         telemetry, centralised = self._used.put_into(self._telemetry, self._observer.states), self._centralised
         scenario = self._scenario.operated(find_statuses(self._scenario.partition, self._observer.states))
-        if telemetry is not self._telemetry or scenario is not self._scenario:
+        if telemetry is not self._first_telemetry or scenario is not self._scenario:
             centralised = estimate_centralised(scenario, telemetry)
         return evaluate(
             self._scenario,

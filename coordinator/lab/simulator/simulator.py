@@ -45,8 +45,9 @@ from agents.protocol.events import (
     Rejected,
 )
 from agents.runtime.link import FaultyLinks
-from coordinator.lab.plant.telemetry_messages import make_message
+from coordinator.lab.plant.telemetry_messages import NO_STATUS, make_message
 from dsse_core.grid.measurement import Measurement
+from dsse_core.grid.switches import take_own
 
 log = logging.getLogger(__name__)
 TRAVEL_S = 0.001  # of every message, in addition to the delay by the faults of its link
@@ -88,6 +89,7 @@ class SimulatedBus:
             router runs, and when its presence token appears or vanishes (at, area, alive).
         on_message: called with each message that an area sends to a neighbour (at, receiver, message, False), and again
             with each that its link passes on (at, receiver, message, True), where ``at`` is the time of arrival.
+        statuses: switch -> status that the plant reads, from the next scan on.
         on_readings: called like ``on_state`` with the readings that an area has used (at, readings).
     """
 
@@ -100,6 +102,7 @@ class SimulatedBus:
         late_s: Mapping[str, float] | None = None,
         on_message: Callable[[float, str, Message, bool], None] = lambda at, receiver, message, arrives: None,
         on_readings: Callable[[float, ReadingsMessage], None] = lambda at, readings: None,
+        statuses: Mapping[str, str] = NO_STATUS,
     ) -> None:
         self.now = 0.0
         self.scan = 0
@@ -112,6 +115,7 @@ class SimulatedBus:
         self.protocols: dict[str, AreaProtocol] = {}
         self.links: dict[str, FaultyLinks] = {}
         self.plant_publishes = True
+        self.statuses = statuses
         self._on_state = on_state
         self._on_presence = on_presence
         self._on_message = on_message
@@ -217,7 +221,8 @@ class SimulatedBus:
         self.scan += 1
         for name, content in self.files.items():
             header = Header(content.run, "plant", Incarnation(0, 0), self.scan, self.scan, STARTED_AT + self.now)
-            message = make_message(header, name, telemetry[name])
+            statuses = take_own(content.area.network, self.statuses)
+            message = make_message(header, name, telemetry[name], statuses)
             if measured_at:
                 times = (STARTED_AT + measured_at.get(meter_id, self.now) for meter_id in message.meters)
                 message = replace(message, times=tuple(times))

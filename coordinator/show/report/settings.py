@@ -100,6 +100,9 @@ def _describe_link(faults: LinkFaults) -> str:
 
 def _describe_event(event: FaultEvent) -> str:
     lasts = f" for {event.for_s:g} s" if event.for_s else ""
+    if event.to:
+        read = f", read as {event.status}" if event.status else ""
+        lasts = f" {event.to}{read}" + (f", read after {event.for_s:g} s" if event.for_s else "")
     return f"{event.kind} {' - '.join(event.names)} at {event.at_s:g} s{lasts}"
 
 

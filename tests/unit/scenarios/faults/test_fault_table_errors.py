@@ -90,6 +90,18 @@ def test_events_that_meet_what_is_dead_frozen_silent_or_cut_already_are_rejected
     )
 
 
+def test_a_switch_event_names_a_switch_of_the_network_and_its_status_from_then_on(tmp_path: Path) -> None:
+    text = GOOD + events('at_s = 1, switch = "18-33", to = "closed"')
+    assert the_only(problems_of(tmp_path, text)) == (
+        "faults.events[1].switch: there is no switch '18-33'; switches: none; a branch becomes one by `switch = true` "
+        "in the network file"
+    )
+    text = GOOD + events('at_s = 1, switch = "18-33"', 'at_s = 1, kill = "area1", to = "open"')
+    first, second = problems_of(tmp_path, text)
+    assert 'switch needs its status from then on: to = "open" or "closed"' in first
+    assert "kill takes no to, which are of a switch" in second
+
+
 def test_an_event_may_begin_when_the_one_before_it_ends(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(GOOD + events('at_s = 1, pause = "area1", for_s = 1', 'at_s = 2, pause = "area1", for_s = 1'))
@@ -119,7 +131,7 @@ def test_there_is_no_router_to_kill_where_neighbours_link_directly(tmp_path: Pat
 @pytest.mark.parametrize(
     ("event", "expected"),
     [
-        ("at_s = 1", "give exactly one of kill, restart, pause, cut and silent, found none"),
+        ("at_s = 1", "give exactly one of kill, restart, pause, cut, silent and switch, found none"),
         ('at_s = 1, kill = "area1", pause = "area2"', "found kill and pause"),
         ('at_s = 1, pause = "area1"', "pause lasts; say how long with for_s"),
         ('at_s = 1, restart = "area1", for_s = 2', "restart happens in a moment; remove for_s"),

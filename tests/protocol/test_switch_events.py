@@ -1,0 +1,65 @@
+"""Switches that a scenario operates: the truth, its readings, the status that is read, and the verdict on all of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from agents.messages.packing import StateMessage
+from coordinator.lab.evaluation.result import RunOutcome
+from coordinator.lab.simulator.simulate import Simulation
+from scenarios.faults.faults import FaultEvent
+from scenarios.scenario import Scenario
+from tests.support.rings import ACROSS, TIES, tied33
+
+pytestmark = pytest.mark.long
+
+
+def simulate(*events: FaultEvent) -> tuple[RunOutcome, dict[str, StateMessage]]:
+    """ieee33 in three areas with ``events``, until the verdict."""
+    scenario: Scenario = tied33(3, (), switches=(*TIES, *ACROSS))
+    simulation = Simulation(replace(scenario, faults=replace(scenario.faults, events=events)))
+    reason = simulation.run()
+    return simulation.evaluate(reason), simulation._bus.states
+
+
+def event(at_s: float, switch: str, to: str, late_s: float = 0.0, status: str = "") -> FaultEvent:
+    return FaultEvent(at_s, "switch", (switch,), late_s, to, status)
+
+
+CASES = {
+    "fed from another side": ((event(1.0, "18-33", "closed"), event(1.5, "12-13", "open")), ()),
+    "known late": ((event(0.1, "18-33", "closed", 0.2),), ()),
+    "dead": ((event(1.0, "28-29", "open"),), (29, 30, 31, 32, 33)),
+    "energised again": ((event(1.0, "28-29", "open"), event(3.0, "28-29", "closed")), ()),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_areas_follow_switches_and_the_verdict_compares_with_the_grid_as_it_is(name):
+    events, dead = CASES[name]
+    outcome, states = simulate(*events)
+    comparison = outcome.comparison
+    assert outcome.verdict.consensus, outcome.verdict
+    assert comparison.gap.vm_pu < 1e-9
+    assert comparison.error.vm_pu < 0.005
+    assert {state.quality for state in states.values()} == {"good"}
+    row = outcome.scenario.network.row
+    assert {bus for bus in row if comparison.truth.vm[row[bus]] == 0} == set(dead)
+    assert {bus for bus in row if comparison.decentralised.vm[row[bus]] == 0} == set(dead)
+
+
+def test_a_status_that_lies_is_what_estimates_and_reference_rest_on_and_the_truth_is_another():
+    outcome, states = simulate(event(1.0, "18-33", "closed", status="open"))
+    assert outcome.comparison.gap.vm_pu < 1e-9
+    assert next(state.switches["18-33"] for state in states.values() if "18-33" in state.switches) == "open"
+    assert not outcome.scenario.network.switches["18-33"]
+    assert outcome.centralised.removed or outcome.centralised.detected
+
+
+def test_a_status_that_nobody_knows_takes_good_from_its_area_and_is_named():
+    _, states = simulate(event(1.0, "18-33", "closed", status="unknown"))
+    notes = {name: note for name, state in states.items() for note in state.notes if "18-33 unknown" in note}
+    assert list(notes.values()) == ["status of switch 18-33 unknown: gateway plant reads unknown; it stays as it was"]
+    assert [name for name, state in states.items() if state.quality != "good"] == list(notes)
