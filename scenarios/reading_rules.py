@@ -9,6 +9,7 @@ from fnmatch import fnmatchcase
 from dsse_core.files.wording import describe_unknown
 from dsse_core.grid.measurement import MeasurementKind, Meter, Source
 from dsse_core.grid.partition import Partition
+from dsse_core.grid.switches import name_status_meter
 from dsse_core.reading_rules import ANYBODY, LEADER, NO_RULE, KindRule, MetersOf, ReadingRules
 from scenarios.files.scenario_file import AngleMeterTable, GatewayTable, ScenarioFile, SigmaTable
 
@@ -52,9 +53,14 @@ def _meters_of(table: GatewayTable, ids: Sequence[str]) -> MetersOf:
 
 
 def _ids_by_area(partition: Partition, meters: Sequence[Meter]) -> dict[str, list[str]]:
+    """Area -> the ids of its meters, and of the statuses of its switches."""
+    by_area = partition.meters_by_area(meters)
     return {
-        name: [meter.id for meter in own if meter.source is not Source.VIRTUAL]
-        for name, own in partition.meters_by_area(meters).items()
+        area.name: [
+            *(meter.id for meter in by_area[area.name] if meter.source is not Source.VIRTUAL),
+            *map(name_status_meter, area.network.switches),
+        ]
+        for area in partition.areas
     }
 
 
@@ -96,6 +102,7 @@ def find_gateway_problems(file: ScenarioFile, partition: Partition, meters: Sequ
     if has_plant:
         return  # the plant reads all meters
     for name in names:
-        if unread := [meter_id for meter_id in ids[name] if meter_id not in read[name]]:
+        statuses = set(map(name_status_meter, partition.network.switches))  # without a gateway the operator gives them
+        if unread := [meter_id for meter_id in ids[name] if meter_id not in read[name] | statuses]:
             count = f" and {len(unread) - 1} more" if len(unread) > 1 else ""
             yield f"gateways: no gateway reads meter {unread[0]}{count} of {name}; add a pattern to one of them"

@@ -18,7 +18,7 @@ OPEN: Status = "open"
 CLOSED: Status = "closed"
 UNKNOWN = "unknown"
 STATUS = "status"  # kind of the readings of statuses
-READ_AS: dict[str, float] = {OPEN: 0.0, CLOSED: 1.0}  # value of such a reading; others are of no status
+READ_AS: dict[str, float] = {OPEN: 0.0, CLOSED: 1.0, UNKNOWN: -1.0}  # value of such a reading; others are unknown
 
 
 def name_status_meter(switch: str) -> str:

@@ -6,12 +6,16 @@ from dataclasses import replace
 
 import pytest
 
-from agents.messages.packing import StateMessage
+from agents.messages.packing import Header, Incarnation, StateMessage, TelemetryMessage
+from agents.protocol.events import Ordered
 from coordinator.lab.evaluation.result import RunOutcome
 from coordinator.lab.simulator.simulate import Simulation
+from coordinator.lab.simulator.simulator import STARTED_AT
 from scenarios.faults.faults import FaultEvent
 from scenarios.scenario import Scenario
+from scenarios.telemetry import make_telemetry
 from tests.support.rings import ACROSS, TIES, tied33
+from tests.support.simulated_bus import SimulatedBus, area_files_of
 
 pytestmark = pytest.mark.long
 
@@ -63,3 +67,24 @@ def test_a_status_that_nobody_knows_takes_good_from_its_area_and_is_named():
     notes = {name: note for name, state in states.items() for note in state.notes if "18-33 unknown" in note}
     assert list(notes.values()) == ["status of switch 18-33 unknown: gateway plant reads unknown; it stays as it was"]
     assert [name for name, state in states.items() if state.quality != "good"] == list(notes)
+
+
+def test_a_status_that_a_gateway_reads_begins_a_new_term_of_the_scan_and_an_order_against_it_is_named():
+    scenario = tied33(3, (), switches=TIES)
+    gateways = {"plant": "all", "rtu": ("status@18-33",)}
+    rules = {name: replace(of_area, gateways=gateways) for name, of_area in scenario.reading_rules.items()}
+    bus = SimulatedBus(area_files_of(replace(scenario, reading_rules=rules)), make_telemetry(scenario).by_area)
+    bus.run(2.0)
+    holder = next(name for name, content in bus.files.items() if "18-33" in content.area.network.switches)
+    header = Header(bus.files[holder].run, "rtu", Incarnation(1, 1), 1, 1, STARTED_AT + bus.now)
+    columns = ("status@18-33",), (1.0,), (0.0,), (header.time,), (True,)
+    bus.next_scan(make_telemetry(scenario, closed={"18-33": True}).by_area)
+    bus.publish_readings(TelemetryMessage(header, holder, *columns))
+    bus.run(2.0)
+    assert bus.states[holder].switches["18-33"] == "closed"
+    assert {state.quality for state in bus.states.values()} == {"good"}
+    bus.post(holder, Ordered((5, 6, 1), (), switches={"18-33": False}))
+    bus.run(2.0)
+    assert bus.states[holder].switches["18-33"] == "closed"
+    told = "gateway rtu reads closed, the operator has ordered open"
+    assert f"status of switch 18-33 unknown: {told}; it stays as it was" in bus.states[holder].notes

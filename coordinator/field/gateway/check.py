@@ -18,7 +18,7 @@ from coordinator.field.gateway.plausibility import Read, Schedule, find_common_m
 from coordinator.field.gateway.reconnection import Link
 from coordinator.watch.tables import format_table
 from dsse_core.errors import PowerFlowDivergedError
-from dsse_core.grid.measurement import Source
+from dsse_core.grid.measurement import Meter, Source
 from dsse_core.printable import listed, printable
 from dsse_core.reading_rules import allowed_lead_s
 
@@ -69,7 +69,8 @@ async def _read_for(duration_s: float, content: GatewayMap, intake: Intake, link
 def _find_schedule(content: GatewayMap) -> dict[str, Schedule] | None:
     """Meter id -> its schedule, for the meters of the map; None where the scenario's loads have no power flow."""
     try:
-        return find_schedule(content.scenario.network, [point.meter for point in content.points.values()])
+        meters = [point.meter for point in content.points.values() if isinstance(point.meter, Meter)]
+        return find_schedule(content.scenario.network, meters)
     except PowerFlowDivergedError:
         return None
 
@@ -119,7 +120,8 @@ def _find_reads(newest: Mapping[str, Reading], schedule: Mapping[str, Schedule] 
     """Meter id -> its valid reading beside the schedule; empty without a schedule."""
     if schedule is None:
         return {}
-    return {meter: Read(found.value, found.sigma, schedule[meter]) for meter, found in newest.items() if found.valid}
+    known = ((meter, found) for meter, found in newest.items() if found.valid and meter in schedule)
+    return {meter: Read(found.value, found.sigma, schedule[meter]) for meter, found in known}
 
 
 def _find_unmapped(content: GatewayMap) -> Sequence[str]:
@@ -143,7 +145,7 @@ def _format(
 
 
 def _row(point: Point, reading: Reading | None, schedule: Mapping[str, Schedule], now: float) -> tuple[str, ...]:
-    scheduled = schedule[point.meter.id].value / point.size if schedule else math.nan
+    scheduled = schedule[point.meter.id].value / point.size if point.meter.id in schedule else math.nan
     read = f"{reading.value / point.size:.5g}" + ("" if reading.valid else " (invalid)") if reading else "-"
     age = f"{max(0.0, now - reading.time):.1f}" if reading else "-"
     return (point.meter.id, point.address, point.unit, read, f"{scheduled:.5g}", age)

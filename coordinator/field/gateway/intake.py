@@ -49,7 +49,7 @@ class Intake:
         if point is None:
             self._reject(reasons.UNKNOWN, address, "is in no [[reading]] of the map")
             return
-        number = number_of(value)
+        number = point.number_of(value)
         if isinstance(number, str):
             self._reject(number, address, f"{_shown(value)} is no finite number")
             return

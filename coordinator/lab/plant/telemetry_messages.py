@@ -24,23 +24,21 @@ NO_STATUS: Mapping[str, str] = {}
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """Readings of the meters of one area at ``times``, s since 1970; p.u. and rad. ``valid``: known."""
+    """Readings of the meters of one area at ``times``, s since 1970; p.u. and rad."""
 
     meters: tuple[str, ...]
     values: tuple[float, ...]
     sigmas: tuple[float, ...]
     times: tuple[float, ...]
-    valid: tuple[bool, ...]
 
     def with_statuses(self, statuses: Mapping[str, str], time: float) -> Readings:
         """These readings, and those of ``statuses``, of switch -> status, at ``time``, s since 1970."""
         count = len(statuses)
         return Readings(
             (*self.meters, *map(name_status_meter, statuses)),
-            (*self.values, *(READ_AS.get(status, 0.0) for status in statuses.values())),
+            (*self.values, *(READ_AS[status] for status in statuses.values())),
             (*self.sigmas, *(0.0,) * count),
             (*self.times, *(time,) * count),
-            (*self.valid, *(status in READ_AS for status in statuses.values())),
         )
 
     def measured_at(self, time: float) -> Readings:
@@ -61,7 +59,6 @@ def read(measurements: Sequence[Measurement], measured_at: float | Mapping[str, 
         tuple(read_column(readings, "value", float).tolist()),
         tuple(read_column(readings, "sigma", float).tolist()),
         (measured_at,) * len(ids) if isinstance(measured_at, float) else tuple(measured_at[k] for k in ids),
-        (True,) * len(ids),  # all meters of a simulated plant are sound
     )
 
 
@@ -99,5 +96,6 @@ def make_message(
 
 
 def _message(header: Header, area: str, readings: Readings, split: SplitIdentity = NO_SPLIT) -> TelemetryMessage:
-    columns = readings.meters, readings.values, readings.sigmas, readings.times, readings.valid
+    count = len(readings.meters)  # all meters of a simulated plant are sound
+    columns = readings.meters, readings.values, readings.sigmas, readings.times, (True,) * count
     return TelemetryMessage(header, area, *columns, split)

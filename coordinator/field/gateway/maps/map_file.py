@@ -12,13 +12,14 @@ from agents.messages.keys import check_run_id, default_run_id
 from coordinator.field.gateway.interface import Sink, Source
 from coordinator.field.gateway.maps.installed import load_sink, load_source
 from coordinator.field.gateway.maps.map_tables import MapFile, ReadingTable
-from coordinator.field.gateway.maps.points import Point, find_point_problems, make_point
+from coordinator.field.gateway.maps.points import Point, SwitchStatus, find_point_problems, make_point
 from dsse_core.endpoints import find_problems_in
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.strict_table import Table, fit_partly, load_partly
 from dsse_core.files.wording import Suggestions
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.measurement import Source as Origin
+from dsse_core.grid.switches import name_status_meter
 from scenarios.files.readings.rows import parse_meter
 from scenarios.scenario import RESERVED, Scenario, load_scenario
 
@@ -144,7 +145,8 @@ def _make_points(
     """Address -> its point; every problem is added to ``problems``. Without ``scenario`` there are no points.
     Without the gateway's ``name`` the meters are not checked against the scenario's gateways.
     """
-    meters = {meter.id: meter for meter in scenario.meters} if scenario else {}
+    meters: dict[str, Meter | SwitchStatus] = {meter.id: meter for meter in scenario.meters} if scenario else {}
+    meters |= {status.id: status for status in map(SwitchStatus, scenario.network.switches if scenario else ())}
     close = Suggestions(list(meters))
     points: dict[str, Point] = {}
     first_of: dict[tuple[str, str], int] = {}  # (key, value) -> number of the first table with it
@@ -164,7 +166,7 @@ def _make_points(
                 found += unknown
             else:
                 meter = meters[table.meter]
-                area = scenario.partition.area_of_meter(meter)
+                area = _find_area(meter, scenario)
                 found += _find_foreign(name, meter, area, scenario)
                 found += find_point_problems(table, wrong, meter, scenario.network, scenario.sigma_rule)
                 if not (found or wrong):
@@ -173,7 +175,14 @@ def _make_points(
     return points
 
 
-def _find_foreign(name: str, meter: Meter, area: str, scenario: Scenario) -> Iterator[str]:
+def _find_area(meter: Meter | SwitchStatus, scenario: Scenario) -> str:
+    """The area of a meter, or the one that holds a switch."""
+    if isinstance(meter, Meter):
+        return scenario.partition.area_of_meter(meter)
+    return next(area.name for area in scenario.partition.areas if meter.switch in area.network.switches)
+
+
+def _find_foreign(name: str, meter: Meter | SwitchStatus, area: str, scenario: Scenario) -> Iterator[str]:
     """A problem where the scenario assigns ``meter`` to other gateways."""
     own = scenario.reading_rules[area].meters_of(name) if name else "all"
     if own != "all" and meter.id not in own:
@@ -183,13 +192,17 @@ def _find_foreign(name: str, meter: Meter, area: str, scenario: Scenario) -> Ite
         )
 
 
-def _find_meter_problems(table: ReadingTable, meters: Mapping[str, Meter], close: Suggestions) -> Iterator[str]:
+def _find_meter_problems(
+    table: ReadingTable, meters: Mapping[str, Meter | SwitchStatus], close: Suggestions
+) -> Iterator[str]:
     meter = meters.get(table.meter)
-    if meter is None:
+    if meter is None and table.meter.startswith(name_status_meter("")):
+        yield f"meter {table.meter} is the status of no switch of the scenario{close.find(table.meter)}"
+    elif meter is None:
         parsed = parse_meter(table.meter)
         if isinstance(parsed, str):
             yield f"meter: {parsed}"
         else:
             yield f"meter {table.meter} is none of the scenario's [measurements]{close.find(table.meter)}"
-    elif meter.source is Origin.VIRTUAL:
+    elif isinstance(meter, Meter) and meter.source is Origin.VIRTUAL:
         yield f"meter {table.meter}: nothing is injected there, which the areas know; remove this reading"

@@ -14,14 +14,14 @@ from dsse_core.files.strict_table import FileTable, Table
 Positive = Annotated[float, Field(gt=0)]
 Interval = Annotated[float, Field(ge=0.001, le=10.0)]
 Percent = Annotated[float, Field(gt=0, le=100)]
-Unit = Literal["pu", "kV", "V", "MW", "kW", "W", "Mvar", "kvar", "var", "kA", "A", "deg", "rad"]
+Unit = Literal["pu", "kV", "V", "MW", "kW", "W", "Mvar", "kvar", "var", "kA", "A", "deg", "rad", "status"]
 
 
 class ReadingTable(Table):
     """One ``[[reading]]``: the meter reads ``sign (factor raw + offset)`` in ``unit``."""
 
     address: Annotated[str, Field(min_length=1, max_length=1000)] = Field(description="where the source has it")
-    meter: str = Field(description="id of the meter, e.g. p_flow@3:3-4")
+    meter: str = Field(description="id of the meter, e.g. p_flow@3:3-4, or status@18-33 of a switch")
     unit: Unit
     sign: Literal[1, -1] = 1
     factor: float = 1.0

@@ -10,6 +10,7 @@ from coordinator.field.gateway.counts import BAD_TYPE, NOT_FINITE
 from coordinator.field.gateway.maps.map_tables import ReadingTable
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.network import Network
+from dsse_core.grid.switches import READ_AS, STATUS, name_status_meter
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
 from scenarios.files.readings.units import RANGES, UNITS, size_of_range, unit_size
 from scenarios.meters import SigmaRule
@@ -66,13 +67,25 @@ class Deviation:
 
 
 @dataclass(frozen=True, slots=True)
+class SwitchStatus:
+    """The status of ``switch``, in the place of a meter: it reads 0 open, 1 closed, anything else unknown."""
+
+    switch: str
+
+    @property
+    def id(self) -> str:
+        """The id of the readings."""
+        return name_status_meter(self.switch)
+
+
+@dataclass(frozen=True, slots=True)
 class Point:
     """The ``meter`` of ``area`` at ``address``. It reads ``sign (factor raw + offset)`` in ``unit``.
     ``size``: one ``unit`` in p.u. or rad. ``lowest``, ``highest``: p.u. or rad; a value beyond them is no reading.
     """
 
     address: str
-    meter: Meter
+    meter: Meter | SwitchStatus
     area: str
     unit: str
     size: float
@@ -81,6 +94,13 @@ class Point:
     deviation: Deviation
     lowest: float
     highest: float
+
+    def number_of(self, raw: object) -> float | str:
+        """``raw`` as a finite number, see ``number_of``; a status may be a word, or yes and no."""
+        if isinstance(self.meter, SwitchStatus):
+            raw = READ_AS.get(raw.strip().lower(), raw) if isinstance(raw, str) else raw
+            raw = float(raw) if isinstance(raw, bool) else raw
+        return number_of(raw)
 
     def value_of(self, raw: float) -> float:
         """The reading of a raw value, p.u. or rad."""
@@ -91,8 +111,11 @@ class Point:
         return self.lowest <= value <= self.highest
 
 
-def make_point(table: ReadingTable, meter: Meter, area: str, scenario: Scenario) -> Point:
+def make_point(table: ReadingTable, meter: Meter | SwitchStatus, area: str, scenario: Scenario) -> Point:
     """The point of a ``[[reading]]`` without problems; one without a sigma gets that of the scenario."""
+    if isinstance(meter, SwitchStatus):
+        factors = table.sign * table.factor, table.sign * table.offset
+        return Point(table.address, meter, area, table.unit, 1.0, *factors, Deviation(0.0, 0.0), -math.inf, math.inf)
     size = size_of(table.unit, meter, scenario.network)
     lowest, highest = physical_range(meter, scenario.network)
     allowed = scenario.reading_rules[area].rule_of(meter.kind)
@@ -117,9 +140,16 @@ def make_point(table: ReadingTable, meter: Meter, area: str, scenario: Scenario)
 
 
 def find_point_problems(
-    table: ReadingTable, wrong: frozenset[str], meter: Meter, network: Network, rule: SigmaRule
+    table: ReadingTable, wrong: frozenset[str], meter: Meter | SwitchStatus, network: Network, rule: SigmaRule
 ) -> Iterator[str]:
     """The problems of a ``[[reading]]`` with its meter, as texts; the values of its ``wrong`` keys are not known."""
+    if isinstance(meter, SwitchStatus):
+        if "unit" not in wrong and table.unit != STATUS:
+            yield f"unit is {table.unit}; {meter.id} is the status of a switch: give unit = 'status'"
+        for key in ("sigma", "sigma_percent", "lowest", "highest"):
+            if getattr(table, key) is not None:
+                yield f"{key} is of no use to {meter.id}, the status of a switch; remove it"
+        return
     if "unit" in wrong:
         return
     allowed = units_of(meter.kind)
