@@ -18,7 +18,7 @@ from dsse_core.files.strict_table import load_strict
 from dsse_core.files.wording import describe_unknown
 from dsse_core.grid.boundary import Boundary, boundary_of, find_wrong_name
 from dsse_core.grid.gauge import Gauge
-from dsse_core.grid.loads import Load
+from dsse_core.grid.loads import Load, Shunt
 from dsse_core.grid.measurement import Meter, find_meter_problems
 from dsse_core.grid.network import Branch, Bus, Generator, Network
 from dsse_core.grid.nodes import PHASE_ANGLE, list_phases
@@ -101,6 +101,7 @@ def _network_of(t: Any) -> Network:
         branches=_items_of(Branch, t.network.branch),
         generators=_items_of(Generator, t.network.generator),
         loads=_items_of(Load, t.network.load),
+        shunts=_items_of(Shunt, t.network.shunt),
         gauge_of_whole=Gauge(**vars(t.network.gauge)) if t.network.gauge else None,
     )
     if problems := list(find_range_problems(network)):

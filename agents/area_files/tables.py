@@ -26,7 +26,7 @@ from dsse_core.files.quantities import BranchId, Name, Version
 from dsse_core.files.shared_tables import AdmmTable, GenerationTable, require_a_band
 from dsse_core.files.strict_table import ColumnsTable, FileTable, Table
 from dsse_core.grid.gauge import Gauge
-from dsse_core.grid.loads import Load
+from dsse_core.grid.loads import Load, Shunt
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.network import Branch, Bus, Generator
 from dsse_core.grid.nodes import Primitive
@@ -216,6 +216,7 @@ def area_table(*, of_columns: bool) -> Any:
         branch=(all_of(Branch), ...),
         generator=(all_of(Generator), []),
         load=(all_of(Load), []),
+        shunt=(all_of(Shunt), []),
         gauge=(_table_of(Gauge) | None, None),
     )
     return create_model(

@@ -22,7 +22,7 @@ from agents.protocol.configuration_digest import digest_configuration
 from dsse_core.estimation.state_limits import DEFAULT_LIMITS, StateLimits
 from dsse_core.files.quantities import Name
 from dsse_core.grid.columns import Records
-from dsse_core.grid.loads import Load
+from dsse_core.grid.loads import Load, Shunt
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.meter_table import list_columns
 from dsse_core.grid.network import Branch, Bus, Generator
@@ -160,6 +160,7 @@ def table_of(content: Configuration, all_of: Callable[[Any, Sequence[Any]], Any]
             "branch": all_of(Branch, network.branches),
             "generator": all_of(Generator, network.generators),
             **({"load": all_of(Load, network.loads)} if network.loads else {}),
+            **({"shunt": all_of(Shunt, network.shunts)} if network.shunts else {}),
             **({"gauge": _row_of(network.gauge_of_whole)} if network.gauge_of_whole else {}),
         },
         "meter": all_of(Meter, content.meters),

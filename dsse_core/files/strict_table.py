@@ -34,9 +34,14 @@ class ColumnsTable(Table):
         names = {name: field.alias or name for name, field in type(self).model_fields.items()}
         lengths = {names[key]: len(column) for key, column in vars(self).items() if column is not None}
         if len(set(lengths.values())) > 1:
-            found = ", ".join(f"{key} has {length}" for key, length in lengths.items())
-            raise ValueError(f"the lists need as many values each; {found}")
+            raise ValueError(explain_lengths(lengths))
         return self
+
+
+def explain_lengths(lengths: Mapping[str, int]) -> str:
+    """The problem of lists of several ``lengths``, by their keys."""
+    found = ", ".join(f"{key} has {length}" for key, length in lengths.items())
+    return f"the lists need as many values each; {found}"
 
 
 class FileTable(Table):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -38,21 +38,34 @@ class Admittance:
 def build_admittance(network: Network, *, with_shunts: bool = True) -> Admittance:
     """Builds ``[A' Yp A + diag(shunt); Yp A]``: Yp the admittances of branches over their ports, A the nodes of ports.
 
-    ``with_shunts=False`` leaves out bus shunts and charging, all that draws current without load. The shunt of a bus
-    with phases stands at each of them.
+    ``with_shunts=False`` leaves out shunts and charging, all that draws current without load.
     """
     table, n = network.table, network.n_nodes
-    y = find_primitives(network, with_shunts)
-    shunt = (table.shunt * with_shunts)[table.nodes.item]
-    entries, (row, column) = np.concatenate([y, shunt, y]), table.of_stacked
-    if network.gauge.pinned or network.gauge.ungrounded:
-        of_gauge = _find_gauge_shunts(network, with_shunts)
-        entries, row, column = (np.concatenate(both) for both in zip((entries, row, column), of_gauge, strict=True))
+    y, node, (row, column) = find_primitives(network, with_shunts), table.port_node, table.of_ports
+    of_shunts, at, other = find_shunts(network)
+    parts = [(y, node[row], node[column]), (of_shunts * with_shunts, at, other), (y, n + row, node[column])]
+    parts += list(_find_pins(network, with_shunts))
+    entries, row, column = (np.concatenate(of) for of in zip(*parts, strict=True))
     return Admittance(sp.coo_array((entries, (row, column)), shape=(n + len(table.ports), n)).tocsr())
 
 
+def find_shunts(network: Network) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``NetworkTable.of_shunts``; those of a bus without ground draw no common current of its phases."""
+    of_shunts = network.table.of_shunts
+    if not network.gauge.ungrounded:
+        return of_shunts
+    y, row, column = of_shunts
+    whole, parts = sp.csr_array((y, (row, column)), shape=(network.n_nodes,) * 2), [of_shunts]
+    for at in map(network.nodes_at, network.gauge.ungrounded):
+        of_bus = whole[at][:, at].toarray()
+        without = project_charging(of_bus, len(at), (True, False)) - of_bus
+        parts.append((without.ravel(), np.repeat(at, len(at)), np.tile(at, len(at))))
+    y, row, column = (np.concatenate(of) for of in zip(*parts, strict=True))
+    return y, row, column
+
+
 def find_primitives(network: Network, with_shunts: bool) -> np.ndarray:
-    """The entries of Yp of the branches in service, (nnz,), in the order of ``NetworkTable.of_stacked``."""
+    """The entries of Yp of the branches in service, (nnz,), in the order of ``NetworkTable.of_ports``."""
     table = network.table
     if table.nodes.is_balanced:
         return np.concatenate(find_two_ports(table, table.active, with_shunts))
@@ -68,22 +81,12 @@ def find_primitives(network: Network, with_shunts: bool) -> np.ndarray:
     return np.concatenate(matrices)
 
 
-def _find_gauge_shunts(network: Network, with_shunts: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Entries, rows and columns of what the gauge adds to ybus: its own shunts, and of bus shunts what takes the zero
-    sequence out of them.
-    """
-    gauge, shunts = network.gauge, []
-    for bus in gauge.pinned:
-        if not with_shunts or bus in gauge.ungrounded:
-            shunts.append((bus, PIN / len(network.nodes_at(bus)) ** 2))
-    for bus in gauge.ungrounded if with_shunts else ():
-        shunts.append((bus, -network.table.shunt[network.row[bus]] / len(network.nodes_at(bus))))
-    nodes = [network.nodes_at(bus) for bus, _ in shunts]
-    return (
-        np.concatenate([np.zeros(0), *(np.full(len(of) ** 2, y) for of, (_, y) in zip(nodes, shunts, strict=True))]),
-        np.concatenate([np.zeros(0, dtype=np.int64), *(np.repeat(of, len(of)) for of in nodes)]),
-        np.concatenate([np.zeros(0, dtype=np.int64), *(np.tile(of, len(of)) for of in nodes)]),
-    )
+def _find_pins(network: Network, with_shunts: bool) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Entries, rows and columns of the gauge's own shunts."""
+    for bus in network.gauge.pinned:
+        if not with_shunts or bus in network.gauge.ungrounded:
+            at = network.nodes_at(bus)
+            yield np.full(len(at) ** 2, PIN / len(at) ** 2), np.repeat(at, len(at)), np.tile(at, len(at))
 
 
 def find_two_ports(

@@ -14,7 +14,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import find_no_load
 from dsse_core.grid.boundary import boundary_at
 from dsse_core.grid.columns import Records, split_by, take_items
-from dsse_core.grid.loads import Load
+from dsse_core.grid.loads import Load, Shunt
 from dsse_core.grid.message_tree import (
     MOST_CARRIED,
     Carried,
@@ -29,7 +29,7 @@ from dsse_core.grid.nodes import BALANCED, read_phases, write_phases
 from dsse_core.grid.partition import Area, Neighbour, Partition
 from dsse_core.printable import listed
 
-Supplied = TypeVar("Supplied", Generator, Load)
+Supplied = TypeVar("Supplied", Generator, Load, Shunt)
 
 SAME_VOLTAGE = 1e-9  # p.u. and rad, of an unloaded bus; rounding leaves 1e-13
 
@@ -67,10 +67,12 @@ def build_partition(
     edges = _grow_tree(network, members, branches, walk)
     generators = _split_by_owner(network, members, edges, network.generators)
     loads = _split_by_owner(network, members, edges, network.loads)
+    shunts = _split_by_owner(network, members, edges, network.shunts)
     areas = []
     for name, rows, held, at in zip(members.names, members.rows, branches, edges, strict=True):
         parent = next((n for n in at.neighbours if n.is_parent), None)
-        part = _cut_out(network, name, rows, held, generators[name], loads[name], at.foreign)
+        items = tuple(generators[name]), tuple(loads[name]), tuple(shunts[name])
+        part = _cut_out(network, name, rows, held, items, at.foreign)
         bus, vm = local_slack.get(name) or _default_slack(part, parent)
         reference = (network.slack.bus, network.slack.va) if network.slack.bus in part.row else None
         areas.append(Area(name, part, tuple(at.neighbours), bus, vm, reference))
@@ -397,7 +399,7 @@ def _phases_of(network: Network, branches: np.ndarray, bus: int) -> int:
 def _split_by_owner(
     network: Network, members: _Members, edges: Sequence[_Edges], items: Sequence[Supplied]
 ) -> dict[str, list[Supplied]]:
-    """Area -> those of ``items``, generators or loads, at the buses that it owns."""
+    """Area -> those of ``items``, such as loads, at the buses that it owns."""
     found: dict[str, list[Supplied]] = {name: [] for name in members.names}
     for item in items:
         for area in members.find_areas(network.row[item.bus]):
@@ -411,11 +413,12 @@ def _cut_out(
     name: str,
     rows: np.ndarray,
     branches: np.ndarray,
-    generators: Sequence[Generator],
-    loads: Sequence[Load],
+    items: tuple[tuple[Generator, ...], tuple[Load, ...], tuple[Shunt, ...]],
     foreign: Mapping[int, int],
 ) -> Network:
-    """The part of the network that area ``name`` knows, its buses and branches by rows; ``foreign`` buses are bare."""
+    """The part of the network that area ``name`` knows, its buses and branches by rows, and its own ``items``;
+    ``foreign`` buses are bare.
+    """
     ids = network.table.bus_id
     rows = np.union1d(rows, np.array([network.row[bus] for bus in foreign], dtype=np.int64))
     buses = take_items(network.buses, rows)
@@ -424,7 +427,8 @@ def _cut_out(
     held = take_items(network.branches, branches)
     owned = np.setdiff1d(ids[rows], list(foreign))
     gauge = None if network.table.nodes.is_balanced else network.gauge.within(ids[rows], owned)
-    return Network(name, network.base_mva, buses, held, tuple(generators), tuple(loads), gauge)
+    generators, loads, shunts = items
+    return Network(name, network.base_mva, buses, held, generators, loads, gauge, shunts)
 
 
 def _bare(buses: Sequence[Bus], place: int, phases: str) -> Sequence[Bus]:

@@ -138,7 +138,9 @@ def _is_weakly_grounded(table: NetworkTable, common: dict[int, float]) -> bool:
     of_bus = np.zeros(len(table.bus_id))
     of_bus[list(common)] = list(common.values())
     v = of_bus[table.nodes.item]
-    to_ground, size = table.shunt[table.nodes.item] * v, np.zeros(len(v))
+    to_ground, size = np.zeros(len(v), dtype=complex), np.zeros(len(v))
+    y, row, column = table.of_shunts
+    np.add.at(to_ground, row, y * v[column])
     for place, k in enumerate(table.active.tolist()):
         p, ends = table.primitives[k], (place, len(table.active) + place)
         node = table.port_node[np.concatenate([table.ports.at(end) for end in ends])]

@@ -1,4 +1,4 @@
-"""Loads as legs: a leg draws power between a node and another one, or the ground."""
+"""Loads and shunts as legs: a leg draws power between a node and another one, or the ground."""
 
 from __future__ import annotations
 
@@ -28,6 +28,15 @@ class Load:
     phases: str
     s: complex
     exponents: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Shunt:
+    """A leg of known admittance ``y``, complex, p.u. as in ``Primitive``: a part of the grid, as its branches are."""
+
+    bus: int
+    phases: str
+    y: complex
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ import numpy as np
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.columns import Records, read_given
 from dsse_core.grid.gauge import Gauge, find_gauge
-from dsse_core.grid.loads import GROUND, Legs, Load, find_nominal
+from dsse_core.grid.loads import GROUND, Legs, Load, Shunt, find_nominal
 from dsse_core.grid.network_table import NetworkTable, tabulate
 from dsse_core.grid.nodes import PHASES, Primitive, explain_phases, list_phases, name_node, read_phases
 from dsse_core.printable import listed
@@ -130,6 +130,7 @@ class Network:
     generators: tuple[Generator, ...] = ()
     loads: tuple[Load, ...] = ()  # of buses with phases, whose ``p_load`` and ``q_load`` are 0
     gauge_of_whole: Gauge | None = None  # of a part of a network, which does not see what grounds it
+    shunts: tuple[Shunt, ...] = ()  # of some phases of buses; those of all phases alike are of the ``Bus``
 
     def __post_init__(self) -> None:
         if problems := list(_find_problems(self)):
@@ -145,7 +146,7 @@ class Network:
     @cached_property
     def table(self) -> NetworkTable:
         """All buses and branches as columns."""
-        return tabulate(self.buses, self.branches)
+        return tabulate(self.buses, self.branches, self.shunts)
 
     @cached_property
     def branch_ids(self) -> Sequence[str]:
@@ -382,7 +383,7 @@ def _find_problems(network: Network) -> Iterable[str]:
     if not _is_possible(network):
         yield from _find_problems_of_buses_and_branches(network)
     yield from _find_problems_of_generators(network)
-    yield from _find_problems_of_loads(network)
+    yield from _find_problems_of_legs(network)
     if gauge := network.gauge_of_whole:
         for bus in sorted({*gauge.ungrounded, *gauge.pinned} - set(network.table.bus_id.tolist())):
             yield f"the gauge names bus {bus}, which is not defined"
@@ -466,23 +467,31 @@ def _find_sound_phases(network: Network) -> dict[int, str]:
     return {bus.id: bus.phases for bus, phases in sound if phases and (bus.phases or not has_phases)}
 
 
-def _find_problems_of_loads(network: Network) -> Iterable[str]:
-    sound = _find_sound_phases(network) if network.loads else {}
+def _find_problems_of_legs(network: Network) -> Iterable[str]:
+    sound = _find_sound_phases(network) if network.loads or network.shunts else {}
     if not network.table.nodes.is_balanced:
         stated = network.table.bus_id[network.table.load != 0].tolist()
         yield from (f"bus {bus} has phases, and a load of its own; state the load by its legs" for bus in stated)
     for load in network.loads:
-        is_there, wanted = load.bus in network.row, list_phases(load.phases)
-        there = sound.get(load.bus, "")
-        if is_there and load.bus not in sound:
-            continue
-        if not there:
-            yield f"a load with phases {load.phases} stands at bus {load.bus}, which has none"
-        elif len(wanted) not in (1, 2) or len(set(wanted)) < len(wanted) or not {*wanted} <= {*list_phases(there)}:
-            known = ", ".join(list_phases(there))
-            yield f"a load at bus {load.bus}: phases is {load.phases!r}; name one or two of {known}"
+        yield from _find_problems_of_leg(network, load, "load", sound)
         if not all(map(cmath.isfinite, (load.s, *load.exponents))):
             yield f"a load at bus {load.bus}: s or an exponent is not a finite number"
+    for shunt in network.shunts:
+        yield from _find_problems_of_leg(network, shunt, "shunt", sound)
+        if not cmath.isfinite(shunt.y):
+            yield f"a shunt at bus {shunt.bus}: y is not a finite number"
+
+
+def _find_problems_of_leg(network: Network, leg: Load | Shunt, called: str, sound: Mapping[int, str]) -> Iterator[str]:
+    is_there, wanted = leg.bus in network.row, list_phases(leg.phases)
+    there = sound.get(leg.bus, "")
+    if is_there and leg.bus not in sound:
+        return
+    if not there:
+        yield f"a {called} with phases {leg.phases} stands at bus {leg.bus}, which has none"
+    elif len(wanted) not in (1, 2) or len(set(wanted)) < len(wanted) or not {*wanted} <= {*list_phases(there)}:
+        known = ", ".join(list_phases(there))
+        yield f"a {called} at bus {leg.bus}: phases is {leg.phases!r}; name one or two of {known}"
 
 
 def _find_problems_of_generators(network: Network) -> Iterable[str]:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dsse_core.grid.columns import Rows, read_column, read_given
-from dsse_core.grid.nodes import BALANCED, PhaseRows, Primitive, read_phases
+from dsse_core.grid.loads import Shunt
+from dsse_core.grid.nodes import BALANCED, PHASES, PhaseRows, Primitive, list_phases, read_phases
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -27,6 +28,7 @@ class NetworkTable:
     admittances: ``f``, ``t`` the rows of their ends, ``ys`` their series admittance, ``ends`` the admittance at each
     end, ``ratio`` their complex tap ratio. ``shunt`` (n_bus,) complex. ``phases`` (n_bus,): set of phases of each bus.
     ``primitives``: row of a branch -> its admittances over its ports, of all branches where buses have phases.
+    ``shunts``: further ones, of some phases.
     """
 
     bus_id: np.ndarray
@@ -42,6 +44,7 @@ class NetworkTable:
     in_service: np.ndarray
     phases: np.ndarray
     primitives: Mapping[int, Primitive]
+    shunts: Sequence[Shunt] = ()
 
     @cached_property
     def nodes(self) -> PhaseRows:
@@ -69,18 +72,27 @@ class NetworkTable:
         return self.nodes.find(bus, self.ports.phase)
 
     @cached_property
-    def of_stacked(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns of the entries of stacked admittances: branches at nodes, shunts, branches at ports.
+    def of_shunts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Entries, rows and columns, both nodes, of the admittances of shunts; the first ones stand at each node.
 
-        Entries of branches stand matrix by matrix, of balanced ones those of all yff, yft, ytf, ytt.
+        A shunt of a bus stands at each of its nodes, one of a leg between the two ends of it.
         """
-        node, own, (row, column) = self.port_node, np.arange(len(self.nodes)), self.of_ports
-        at = node[column]
-        return np.concatenate([node[row], own, len(own) + row]), np.concatenate([at, own, at])
+        own, nodes = np.arange(len(self.nodes)), self.nodes
+        y, row, column = [self.shunt[nodes.item]], [own], [own]
+        for shunt in self.shunts:
+            phase = np.array([PHASES.index(name) for name in list_phases(shunt.phases)])
+            ends = nodes.find(np.full(len(phase), self.rows.row_of(shunt.bus)), phase)
+            sign = np.array([1.0, -1.0])[: len(ends)]
+            y.append(shunt.y * np.outer(sign, sign).ravel())
+            row.append(np.repeat(ends, len(ends)))
+            column.append(np.tile(ends, len(ends)))
+        return np.concatenate(y), np.concatenate(row), np.concatenate(column)
 
     @cached_property
     def of_ports(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns, both ports, of the entries of the admittances of branches; order as in ``of_stacked``."""
+        """Rows and columns, both ports, of the entries of the admittances of branches, matrix by matrix, of balanced
+        ones those of all yff, yft, ytf, ytt.
+        """
         ends = len(self.active)
         if self.nodes.is_balanced:
             f, t = np.arange(2 * ends).reshape(2, -1)
@@ -208,8 +220,8 @@ def _find_joined_ports(primitive: Primitive) -> tuple[np.ndarray, np.ndarray]:
     return row, column
 
 
-def tabulate(buses: Sequence[Any], branches: Sequence[Any]) -> NetworkTable:
-    """The columns of all ``Bus`` and ``Branch`` of a network, which are visited once."""
+def tabulate(buses: Sequence[Any], branches: Sequence[Any], shunts: Sequence[Shunt] = ()) -> NetworkTable:
+    """The columns of all ``Bus`` and ``Branch`` of a network, which are visited once, and its further ``shunts``."""
     p, q, g_shunt, b_shunt = (read_column(buses, name, float) for name in ("p_load", "q_load", "g_shunt", "b_shunt"))
     r, x, g, b = (read_column(branches, name, float) for name in ("r", "x", "g", "b"))
     return NetworkTable(
@@ -226,6 +238,7 @@ def tabulate(buses: Sequence[Any], branches: Sequence[Any]) -> NetworkTable:
         in_service=read_column(branches, "in_service", bool),
         phases=_read_phases(buses),
         primitives=_read_primitives(branches),
+        shunts=shunts,
     )
 
 

@@ -65,6 +65,10 @@ def find_range_problems(network: Network) -> Iterator[str]:
         yield from _of_source(generator, network.base_mva * share_of_power(phases[generator.bus]))
     for load in network.loads:
         yield from _of_load(load, network.node_mva)
+    for shunt in network.shunts:
+        at = f"shunt at bus {shunt.bus}, {shunt.phases}"
+        yield from PORT_ADMITTANCE.find_problem(f"{at}: conductance", shunt.y.real)
+        yield from PORT_ADMITTANCE.find_problem(f"{at}: susceptance", shunt.y.imag)
 
 
 def find_base_problems(base_mva: float, base_kv: Mapping[int, float]) -> Iterator[str]:
@@ -93,7 +97,8 @@ def _lie_within_ranges(network: Network) -> bool:
     ]
     for power in (table.load * at_bus, table.shunt * at_bus, produced, drawn):
         checked += [(POWER, power.real), (REACTIVE_POWER, power.imag)]
-    ports = np.concatenate([np.zeros(0, dtype=complex), *(p.y.ravel() for p in table.primitives.values())])
+    of_ports = (p.y.ravel() for p in table.primitives.values())
+    ports = np.concatenate([np.array([shunt.y for shunt in network.shunts], dtype=complex), *of_ports])
     for limits, values in ((IMPEDANCE, table.series), (ADMITTANCE, table.charging), (PORT_ADMITTANCE, ports)):
         checked += [(limits, values.real), (limits, values.imag)]
     for key in ("i_max", "s_max"):

@@ -63,30 +63,37 @@ def find_size(primitive: Primitive) -> complex:
     return n / size if size else 1.0 + 0j
 
 
-def build_bank(at_from: Side, at_to: Side, y: complex) -> Primitive:
+def build_bank(at_from: Side, at_to: Side, y: complex, idle: complex = 0j) -> Primitive:
     """A bank of equal two-winding units: sum of N' [[y, -y], [-y, y]] N, without the star points.
 
     Each unit's N has a row for each winding, 1 / turns at the conductor where it begins and -1 / turns where it ends.
     ``y``: the admittance of a unit, p.u.: for three units of a bank of S and z p.u. it is S / (power base) / z.
+    ``idle``: the admittance of its magnetising branch, p.u., which stands across the winding at the to side.
     """
-    return _build_windings(at_from.phases, at_to.phases, ((0, at_from), (1, at_to)), y * np.array([[1, -1], [-1, 1]]))
+    windings = (0, at_from), (1, at_to)
+    return _build_windings(at_from.phases, at_to.phases, windings, y * np.array([[1, -1], [-1, 1]]), idle)
 
 
-def build_centre_tapped(at_from: Side, at_to: Side, z: complex) -> Primitive:
+def build_centre_tapped(at_from: Side, at_to: Side, z: complex, idle: complex = 0j) -> Primitive:
     """One unit with two equal halves of a winding at its to side, from s1 to the ground and from there to s2.
 
     ``z``, p.u.: the impedance with both halves in series. Interlaced halves of it have (Kersting, Distribution System
-    Modeling and Analysis, 11.1) R/2 + 0.8 jX at the from side and R + 0.4 jX in each half.
+    Modeling and Analysis, 11.1) R/2 + 0.8 jX at the from side and R + 0.4 jX in each half. ``idle``: as in
+    ``build_bank``, across the half at s1.
     """
     one, half = complex(z.real / 2, 0.8 * z.imag), complex(z.real, 0.4 * z.imag)
     of_halves = np.array([[1, 1], [-1, 0], [0, -1]])  # currents of the windings for those of the halves
     y = of_halves @ np.linalg.inv(np.array([[one + half, one], [one, one + half]])) @ of_halves.T
     halves = (Side(at_to.phases, ("s1",), at_to.turns), Side(at_to.phases, ("s2",), (-at_to.turns[0],)))
-    return _build_windings(at_from.phases, at_to.phases, ((0, at_from), *((1, half) for half in halves)), y)
+    return _build_windings(at_from.phases, at_to.phases, ((0, at_from), *((1, half) for half in halves)), y, idle)
 
 
-def _build_windings(from_phases: str, to_phases: str, windings: Sequence[tuple[int, Side]], y: np.ndarray) -> Primitive:
-    """Equal units of windings, each at the from (0) or to side (1); ``y``: the admittance of a unit over these."""
+def _build_windings(
+    from_phases: str, to_phases: str, windings: Sequence[tuple[int, Side]], y: np.ndarray, idle: complex
+) -> Primitive:
+    """Equal units of windings, each at the from (0) or to side (1); ``y``: the admittance of a unit over these;
+    ``idle``: a further one of its second winding, which draws current without load.
+    """
     phases = from_phases, to_phases
     conductors = [(k, name) for k in (0, 1) for name in [*list_phases(phases[k]), NEUTRAL]]
     N = np.zeros((len(windings[0][1].legs), len(windings), len(conductors)))
@@ -95,8 +102,16 @@ def _build_windings(from_phases: str, to_phases: str, windings: Sequence[tuple[i
             ends = [*list_phases(leg.removesuffix(NEUTRAL)), *([NEUTRAL] if leg.endswith(NEUTRAL) else [])]
             for sign, name in zip((1, -1), ends, strict=False):
                 N[unit, winding, conductors.index((k, name))] = sign / turns
-    Y = np.einsum("uwi,wv,uvj->ij", N, y, N)
     is_star = np.array([name == NEUTRAL for _, name in conductors])
-    of_star, between = Y[np.ix_(is_star, is_star)], Y[np.ix_(~is_star, is_star)]
-    reduced = Y[np.ix_(~is_star, ~is_star)] - between @ np.linalg.pinv(of_star) @ between.T
-    return Primitive(from_phases, to_phases, reduced, np.zeros_like(reduced))
+
+    def reduce(of_unit: np.ndarray) -> np.ndarray:
+        Y = np.einsum("uwi,wv,uvj->ij", N, of_unit, N)
+        of_star, between = Y[np.ix_(is_star, is_star)], Y[np.ix_(~is_star, is_star)]
+        reduced: np.ndarray = Y[np.ix_(~is_star, ~is_star)] - between @ np.linalg.pinv(of_star) @ between.T
+        return reduced
+
+    loaded = reduce(y)
+    if not idle:
+        return Primitive(from_phases, to_phases, loaded, np.zeros_like(loaded))
+    whole = reduce(y + idle * np.diag(np.arange(len(y)) == 1))
+    return Primitive(from_phases, to_phases, whole, whole - loaded)

@@ -58,6 +58,7 @@ def take_fed(network: Network, readings: Sequence[Measurement]) -> tuple[Network
         branches=tuple(branch for branch in network.branches if not {branch.from_bus, branch.to_bus} & dead),
         generators=tuple(generator for generator in network.generators if generator.bus not in dead),
         loads=tuple(load for load in network.loads if load.bus not in dead),
+        shunts=tuple(shunt for shunt in network.shunts if shunt.bus not in dead),
     )
     return part, [reading for reading in readings if reading.meter.bus not in dead]
 

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.grid.admittance import Admittance, build_admittance, flat_start
+from dsse_core.grid.admittance import Admittance, build_admittance, find_primitives, find_shunts, flat_start
 from dsse_core.grid.loads import Legs, find_nominal
 from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.grid.measurement_model import MeasurementModel, build_model_of_rows
@@ -123,16 +123,9 @@ class PowerFlowPlan:
 
     def find_limit(self, tolerance: float) -> np.ndarray:
         """The largest mismatch that each node may have, (n_nodes,), p.u."""
-        table, n = self.network.table, len(self.start) // 2
-        if not table.nodes.is_balanced:
-            at_ports = abs(self.admittance.stacked[n:]).sum(axis=1)
-            total = np.bincount(table.port_node, at_ports, n) + abs(table.shunt)[table.nodes.item]
-            return np.maximum(tolerance, ROUND_OFF * total)
-        at_end = abs(table.ys + table.ends)
-        total = np.bincount(table.f, at_end / table.tap[table.active] ** 2, n) + np.bincount(table.t, at_end, n)
-        between = abs(table.ys / table.ratio)
-        total = total + np.bincount(table.f, between, n) + np.bincount(table.t, between, n) + abs(table.shunt)
-        limit: np.ndarray = np.maximum(tolerance, ROUND_OFF * total)
+        n, (row, _), (shunt, at, _) = self.network.n_nodes, self.network.table.of_ports, find_shunts(self.network)
+        at_ports = np.bincount(self.network.table.port_node[row], abs(find_primitives(self.network, True)), n)
+        limit: np.ndarray = np.maximum(tolerance, ROUND_OFF * (at_ports + np.bincount(at, abs(shunt), n)))
         return limit
 
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 
-from dsse_core.grid.admittance import find_primitives, find_two_ports
+from dsse_core.grid.admittance import find_primitives, find_shunts, find_two_ports
 from dsse_core.grid.network import Network
 from dsse_core.grid.nodes import PhaseRows
 
@@ -116,13 +117,23 @@ def find_shunt_powers(network: Network, vm: np.ndarray, va: np.ndarray) -> np.nd
 
     A shunt of a bus without ground draws no common current of its phases.
     """
-    shunt = network.table.shunt.conj()[network.table.nodes.item]
-    s = np.where(shunt == 0, 0.0, shunt * vm**2)
-    for bus in network.gauge.ungrounded:
-        at = network.nodes_at(bus)
-        v = vm[at] * np.exp(1j * va[at])
-        s[at] = v * (network.table.shunt[network.row[bus]] * (v - v.mean())).conj()
-    return s
+    y, row, column = find_shunts(network)
+    y, row, column = y[y != 0], row[y != 0], column[y != 0]
+    v = vm * np.exp(1j * va)
+    return _add_up(row, v[row] * (y * v[column]).conj(), len(v))
+
+
+def differentiate_shunt_powers(network: Network, vm: np.ndarray, va: np.ndarray) -> sp.csr_array:
+    """The derivatives of ``find_shunt_powers`` by [va; vm], complex, (n_nodes, 2 n_nodes).
+
+    With ``i = Y v`` and ``s = v i*``: ``ds = dv i* + v (Y dv)*``, and ``dv = j v dva + v / |v| dvm``.
+    """
+    y, row, column = find_shunts(network)
+    n, v = len(vm), vm * np.exp(1j * va)
+    Y = sp.csr_array((y, (row, column)), shape=(n, n))
+    by_v = [1j * v, v / vm]
+    own, at = sp.diags_array((Y @ v).conj()), sp.diags_array(v)
+    return sp.csr_array(sp.hstack([own @ sp.diags_array(dv) + at @ (Y @ sp.diags_array(dv)).conj() for dv in by_v]))
 
 
 def find_injections(

@@ -60,7 +60,8 @@ def load_network(path: Path) -> Network:
     problems = [*parts.problems, *_find_unit_problems(branches, is_list=isinstance(file.branch, list))]
     try:
         of_branches = branches.build(parts.primitives)
-        network = Network(file.name, base, buses.build(), of_branches, generators, tuple(parts.loads))
+        loads, shunts = tuple(parts.loads), tuple(parts.shunts)
+        network = Network(file.name, base, buses.build(), of_branches, generators, loads, shunts=shunts)
     except InvalidInputError as error:
         raise InvalidInputError(what, [*problems, *error.problems]) from None
     if problems := [*problems, *find_range_problems(network), *find_zero_impedance_problems(network)]:
@@ -71,7 +72,7 @@ def load_network(path: Path) -> Network:
 def _find_form_problems(file: NetworkFile, *, has_phases: bool) -> Iterator[str]:
     """Tables that only a network with phases has, or cannot have."""
     if has_phases and not isinstance(file.branch, list):
-        yield "branch: lists of values have no phases; give a table for each branch"
+        yield "branch.phases: missing; in a network with phases each branch says those that it joins"
     if not has_phases and (parts := find_parts_with_phases(file)):
         yield f"bus: {listed(parts)} has phases, and no bus has; give each bus its phases"
 

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from dsse_core.grid.loads import Load
+from dsse_core.grid.loads import Load, Shunt
 from dsse_core.grid.nodes import (
     PHASE_ANGLE,
     PHASES,
@@ -48,6 +48,7 @@ from scenarios.files.network_tables import (
     LoadTable,
     Matrix,
     NetworkFile,
+    ShuntTable,
     TransformerTable,
     WindingTable,
 )
@@ -72,6 +73,7 @@ class PhaseParts:
     branches: list[BranchTable] = field(default_factory=list)
     primitives: list[Primitive] = field(default_factory=list)
     loads: list[Load] = field(default_factory=list)
+    shunts: list[Shunt] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
 
@@ -100,7 +102,7 @@ def find_parts_with_phases(file: NetworkFile) -> list[str]:
     """The keys of the tables of ``file``, but those of buses, that only a network with phases has."""
     branches = file.branch if isinstance(file.branch, list) else []
     found = [f"branch[{k}]" for k, branch in enumerate(branches, 1) if _has_phases(branch)]
-    return found + [key for key in ("transformer", "load") if getattr(file, key)]
+    return found + [key for key in ("transformer", "load", "shunt") if getattr(file, key)]
 
 
 def _has_phases(branch: BranchTable) -> bool:
@@ -123,7 +125,9 @@ def read_phase_parts(file: NetworkFile, kv: Mapping[int, float], phases: Mapping
         ends = BranchTable.model_construct(from_=bank.windings[0].bus, to=bank.windings[-1].bus, **named)
         _add(parts, ends, _read_bank(bank, place(f"transformer[{k}]")))
     for k, load in enumerate(file.load, 1):
-        parts.loads += _read_legs(load, place(f"load[{k}]"))
+        parts.loads += _read_loads(load, place(f"load[{k}]"))
+    for k, shunt in enumerate(file.shunt, 1):
+        parts.shunts += _read_shunts(shunt, place(f"shunt[{k}]"))
     for k, source in enumerate(file.source, 1):
         if source.kind == "voltage":
             problem = "no source but the slack holds the voltage of phases; use kind 'power' with p_mw and q_mvar"
@@ -265,7 +269,12 @@ def _read_bank(table: TransformerTable, place: _Place) -> Primitive:
         limits = f"{1 / PORT_ADMITTANCE.most:g} and {IMPEDANCE.most:g}"
         place.refuse("x_percent", f"the impedance of a unit is {abs(z):g} p.u.; it must lie between {limits}")
         return _without_value(windings[0].phases, windings[1].phases)
-    return build_centre_tapped(at_from, at_to, z) if at_to.legs == HALVES else build_bank(at_from, at_to, 1 / z)
+    idle = complex(table.no_load_percent, -table.magnetising_percent) / 100 * of_unit
+    place.check(ADMITTANCE, "no_load_percent", idle.real)
+    place.check(ADMITTANCE, "magnetising_percent", -idle.imag)
+    if at_to.legs == HALVES:
+        return build_centre_tapped(at_from, at_to, z, idle)
+    return build_bank(at_from, at_to, 1 / z, idle)
 
 
 def _read_side(winding: WindingTable, table: TransformerTable, k: int, place: _Place) -> Side:
@@ -336,9 +345,10 @@ def _read_windings(winding: WindingTable, key: str, place: _Place) -> tuple[str,
     return tuple(legs)
 
 
-def _read_legs(table: LoadTable, place: _Place) -> list[Load]:
+def _read_legs(table: LoadTable | ShuntTable, keys: tuple[str, str], place: _Place) -> tuple[list[str], np.ndarray]:
+    """The phases of each leg, and its complex power, the parts of which stand at ``keys``."""
     legs, there = table.phases.split(","), place.phases.get(table.bus)
-    before, known = len(place.problems), list_phases(there or "")
+    known = list_phases(there or "")
     if there is None:
         place.refuse("bus", f"bus {table.bus} is not defined")
     elif not there:
@@ -351,13 +361,31 @@ def _read_legs(table: LoadTable, place: _Place) -> list[Load]:
                 place.refuse("phases", problem)
             elif missing := [phase for phase in ends if phase not in known]:
                 place.refuse("phases", f"bus {table.bus} has no phase {', '.join(missing)}; it has {', '.join(known)}")
-    if table.p_kw is None and table.q_kvar is None:
-        place.refuse("", "has no power; give p_kw or q_kvar")
-    powers = []
-    for key, values in (("p_kw", table.p_kw), ("q_kvar", table.q_kvar)):
-        powers.append(np.zeros(len(legs)) if values is None else np.array(values))
-        if len(powers[-1]) != len(legs):
-            place.refuse(key, f"has {len(powers[-1])} numbers; phases {table.phases!r} are {len(legs)} legs")
+    given = [getattr(table, key) for key in keys]
+    if given == [None, None]:
+        place.refuse("", f"has no power; give {' or '.join(keys)}")
+    parts = [[0.0] * len(legs) if values is None else values for values in given]
+    for key, values in zip(keys, parts, strict=True):
+        if len(values) != len(legs):
+            place.refuse(key, f"has {len(values)} numbers; phases {table.phases!r} are {len(legs)} legs")
+    return legs, np.array([complex(p, q) for p, q in zip(*parts, strict=False)])
+
+
+def _read_shunts(table: ShuntTable, place: _Place) -> list[Shunt]:
+    before = len(place.problems)
+    legs, power = _read_legs(table, ("g_kw", "b_kvar"), place)
+    if len(place.problems) > before:
+        return []
+    y = power / 1000 / (place.base_mva / 3)
+    return [
+        Shunt(table.bus, leg, of_leg / find_nominal_across(leg) ** 2)
+        for leg, of_leg in zip(legs, y.tolist(), strict=True)
+    ]
+
+
+def _read_loads(table: LoadTable, place: _Place) -> list[Load]:
+    before = len(place.problems)
+    legs, power = _read_legs(table, ("p_kw", "q_kvar"), place)
     exponents = np.array(table.exponents)
     if exponents.ndim == 1:
         exponents = np.broadcast_to(exponents, (len(legs), 2))
@@ -369,10 +397,10 @@ def _read_legs(table: LoadTable, place: _Place) -> list[Load]:
     if len(place.problems) > before:
         return []
     loads = []
-    for leg, p, q, (of_p, of_q) in zip(legs, *powers, exponents.tolist(), strict=True):
+    for leg, of_leg, (of_p, of_q) in zip(legs, power.tolist(), exponents.tolist(), strict=True):
         nominal = place.kv[table.bus] / math.sqrt(3) * find_nominal_across(leg)
         share = 1.0 if table.kv is None else nominal / table.kv
-        s = complex(p * share**of_p, q * share**of_q) / 1000 / (place.base_mva / 3)
+        s = complex(of_leg.real * share**of_p, of_leg.imag * share**of_q) / 1000 / (place.base_mva / 3)
         loads.append(Load(table.bus, leg, s, (of_p, of_q)))
     return loads
 

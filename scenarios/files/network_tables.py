@@ -5,11 +5,12 @@ from __future__ import annotations
 from itertools import product
 from typing import Annotated, ClassVar, Literal, Self, TypeVar
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from dsse_core.files.kinds import NETWORK_FILE, FileKind
 from dsse_core.files.quantities import BRANCH_ID
-from dsse_core.files.strict_table import ColumnsTable, FileTable, Table
+from dsse_core.files.strict_table import ColumnsTable, FileTable, Table, explain_lengths
+from dsse_core.files.wording import describe_unknown
 from dsse_core.grid.nodes import PHASES
 from dsse_core.limits import LONGEST_NAME, Positive
 
@@ -46,7 +47,7 @@ class BusTable(Table):
     q_load_mvar: float = 0.0
     """Load, constant power."""
     g_shunt_mw: float = Field(default=0.0, description="MW that the shunt consumes at 1 p.u. voltage")
-    """Consumption of the shunt at 1 p.u. voltage, with phases of all of them, alike."""
+    """Consumption of the shunt at 1 p.u. voltage, with phases of all of them, alike; else give a `[[shunt]]`."""
     b_shunt_mvar: float = Field(default=0.0, description="Mvar that the shunt produces at 1 p.u. voltage")
     """Production of the shunt at 1 p.u. voltage: positive for a capacitor."""
     x: float | None = Field(default=None, description="place of the bus on a map, to the east, in any unit")
@@ -198,7 +199,7 @@ class BranchTable(Table):
 
 
 class LoadTable(Table):
-    """One ``[[load]]``: legs at a bus with phases; a capacitor is a leg with ``exponents = [2, 2]``."""
+    """One ``[[load]]``: legs at a bus with phases."""
 
     bus: int = Field(description="id of the bus where the load stands")
     """Bus where the load stands."""
@@ -207,13 +208,26 @@ class LoadTable(Table):
     p_kw: list[float] | None = None
     """Power drawn by each leg, else 0."""
     q_kvar: list[float] | None = None
-    """Reactive power drawn by each leg, negative for a capacitor; 0 if left out."""
+    """Reactive power drawn by each leg; 0 if left out."""
     exponents: Exponents = Field(default=[0.0, 0.0], description="of P and of Q, or such a pair for each leg")
     """Exponents of P and of Q, or a pair for each leg: at another voltage a leg draws that share of it to these powers.
     0 is constant power, 1 constant current, 2 constant impedance.
     """
     kv: Positive | None = Field(default=None, description="voltage across a leg at which it draws these powers")
     """Voltage across a leg at which it draws these powers; the nominal one if left out."""
+
+
+class ShuntTable(Table):
+    """One ``[[shunt]]``: legs of known admittance at a bus with phases."""
+
+    bus: int = Field(description="id of the bus where the shunt stands")
+    """Bus where the shunt stands."""
+    phases: Phases = Field(description='a leg, "bc" between b and c, "b" from b to ground; or several, "ab,bc,ca"')
+    """The legs, as those of a load."""
+    g_kw: list[float] | None = Field(default=None, description="kW that each leg consumes at nominal voltage")
+    """Consumption of each leg at nominal voltage; 0 if left out."""
+    b_kvar: list[float] | None = Field(default=None, description="kvar that each leg produces at nominal voltage")
+    """Production of each leg at nominal voltage, positive for a capacitor; 0 if left out."""
 
 
 class WindingTable(Table):
@@ -248,6 +262,10 @@ class TransformerTable(Table):
     """Series resistance of both windings."""
     x_percent: float = Field(description="series reactance of both windings, of the rated one")
     """Series reactance of both windings."""
+    no_load_percent: float = Field(default=0.0, ge=0, description="losses without load, of the rated power")
+    """Losses in the iron at rated voltage, of `kva`; they stand at the to side."""
+    magnetising_percent: float = Field(default=0.0, ge=0, description="magnetising current, of the rated one")
+    """Magnetising current at rated voltage, of the rated one; likewise."""
     clock: Literal[0, 1, 5, 6, 7, 11] | None = Field(default=None, description="lag of the low side, 30 degrees each")
     """Hours of 30 degrees by which the side of the lower `kv` (of equal ones the second) lags: 1, 5, 7 or 11 with a
     delta at one side, 1 if left out; else 0 or 6, 0 if left out.
@@ -347,13 +365,39 @@ def _form_of(value: object) -> str:
     return "[lists]" if isinstance(value, dict) else "[tables]"
 
 
+def _form_of_branches(value: object) -> str:
+    """``_form_of``, with lists of branches with phases apart."""
+    return "[phases]" if isinstance(value, dict) and not OF_PHASES.isdisjoint(value) else _form_of(value)
+
+
+def _list_tables(lists: object) -> list[dict[str, object]]:
+    """A table for each branch, of a list for each key, in which null and an empty text stand for no value.
+
+    Raises:
+        ValueError: a key is unknown, or the lists are none, or not of one length.
+    """
+    assert isinstance(lists, dict)  # by its tag
+    known = [field.alias or name for name, field in BranchTable.model_fields.items()]
+    problems = [describe_unknown("key", key, known) for key in lists if key not in known]
+    problems += [f"{key} is no list" for key, values in lists.items() if not isinstance(values, list)]
+    if problems:
+        raise ValueError("; ".join(problems))
+    lengths = {key: len(values) for key, values in lists.items()}
+    if len(set(lengths.values())) > 1:
+        raise ValueError(explain_lengths(lengths))
+    rows = zip(*lists.values(), strict=True)
+    return [{key: v for key, v in zip(lists, row, strict=True) if v is not None and v != ""} for row in rows]
+
+
 Buses = Annotated[
     Annotated[list[BusTable], Field(min_length=1), Tag("[tables]")] | Annotated[BusColumns, Tag("[lists]")],
     Discriminator(_form_of),
 ]
 Branches = Annotated[
-    Annotated[list[BranchTable], Tag("[tables]")] | Annotated[BranchColumns, Tag("[lists]")],
-    Discriminator(_form_of),
+    Annotated[list[BranchTable], Tag("[tables]")]
+    | Annotated[list[BranchTable], BeforeValidator(_list_tables), Tag("[phases]")]
+    | Annotated[BranchColumns, Tag("[lists]")],
+    Discriminator(_form_of_branches),
 ]
 
 
@@ -378,5 +422,7 @@ class NetworkFile(FileTable):
         default_factory=list, description="one [[load]] for each load of a network with phases"
     )
     """`[[load]]`, of a network with phases."""
+    shunt: list[ShuntTable] = Field(default_factory=list, description="one [[shunt]] for each of some phases of a bus")
+    """`[[shunt]]`, of some phases of a bus."""
     source: list[SourceTable] = Field(min_length=1, description="one [[source]] for the substation and each generator")
     """`[[source]]`, one for the substation and one for each generator."""

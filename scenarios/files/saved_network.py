@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.kinds import NETWORK_FILE
 from dsse_core.files.quantities import BRANCH_ID
-from dsse_core.grid.loads import Load
+from dsse_core.grid.loads import Load, Shunt
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.grid.nodes import Primitive, share_of_power
 from dsse_core.limits import LONGEST_NAME
 from dsse_core.results.units import base_current
 from scenarios.files.network_columns import default_branch_id
+from scenarios.files.network_phases import find_nominal_across
 
 MOST_BUSES_IN_TOML = 5000  # larger networks become JSON, which is read much faster, and larger than TOML may be
+LEFT_OUT: dict[str, object] = {"in_service": True, "switch": False, "tap_ratio": 1.0}
+LEFT_OUT |= dict.fromkeys(("id", "name", "phases", "to_phases"), "")
+LEFT_OUT |= dict.fromkeys(
+    ("p_load_mw", "q_load_mvar", "g_shunt_mw", "b_shunt_mvar", "b_pu", "g_pu", "tap_steps", "shift_deg"), 0.0
+)  # of a key, its value where a table leaves it out; null of others
 
 
 def name_network_file(n_bus: int) -> str:
@@ -36,65 +42,29 @@ def save_network(path: Path, network: Network, data_source: str) -> None:
         raise InvalidInputError(NETWORK_FILE.called(path), problems)
     head = {"name": network.name, "data_source": data_source, "base_mva": float(network.base_mva)}
     base = network.base_mva
-    has_phases = not network.table.nodes.is_balanced
-    rest = {"load": [_load_row(load, 1000 * network.node_mva) for load in network.loads]} if network.loads else {}
-    rest |= {"source": [_source_row(generator, network) for generator in network.generators]}
-    if path.suffix == ".json":
-        branches = [_branch_row(b, network) for b in network.branches] if has_phases else _branch_columns(network)
-        columns = {"bus": _bus_columns(network), "branch": branches} | rest
-        path.write_text(json.dumps(head | columns), encoding="utf-8")
-        return
-    rows = {
+    main = {
         "bus": [_bus_row(bus, base) for bus in network.buses],
         "branch": [_branch_row(branch, network) for branch in network.branches],
-    } | rest
+    }
+    kw = 1000 * network.node_mva
+    rest = {"load": [_load_row(load, kw) for load in network.loads]} if network.loads else {}
+    rest |= {"shunt": [_shunt_row(shunt, kw) for shunt in network.shunts]} if network.shunts else {}
+    rest |= {"source": [_source_row(generator, network) for generator in network.generators]}
+    if path.suffix == ".json":
+        columns: dict[str, Any] = {key: _columns_of(rows) or [] for key, rows in main.items()}
+        path.write_text(json.dumps(head | columns | rest), encoding="utf-8")
+        return
+    rows = main | rest
     lines = [f"{key} = {format_toml(value)}" for key, value in head.items()]
     for table, items in rows.items():
         lines += ["", f"{table} = [", *(f"    {_inline(item)}," for item in items), "]"]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _bus_columns(network: Network) -> dict[str, list[Any]]:
-    """A list for each key; keys of defaults only are left out."""
-    buses = network.buses
-    base = [network.base_mva * share_of_power(bus.phases) for bus in buses]
-    columns: dict[str, list[Any]] = {
-        "name": [bus.name for bus in buses],
-        "phases": [bus.phases for bus in buses],
-        "p_load_mw": [bus.p_load * of for bus, of in zip(buses, base, strict=True)],
-        "q_load_mvar": [bus.q_load * of for bus, of in zip(buses, base, strict=True)],
-        "g_shunt_mw": [bus.g_shunt * of for bus, of in zip(buses, base, strict=True)],
-        "b_shunt_mvar": [bus.b_shunt * of for bus, of in zip(buses, base, strict=True)],
-    }
-    given: dict[str, list[Any]] = {"id": [bus.id for bus in buses], "base_kv": [bus.base_kv for bus in buses]}
-    places = {key: [getattr(bus, key) for bus in buses] for key in ("x", "y")}
-    given |= {key: column for key, column in columns.items() if any(column)}
-    return given | {key: column for key, column in places.items() if any(value is not None for value in column)}
-
-
-def _branch_columns(network: Network) -> dict[str, list[Any]]:
-    """A list for each key; keys of defaults only are left out."""
-    branches = network.branches
-    columns: dict[str, tuple[list[Any], object]] = {
-        "id": ([_written_id(branch) or "" for branch in branches], ""),
-        "b_pu": ([branch.b for branch in branches], 0.0),
-        "g_pu": ([branch.g for branch in branches], 0.0),
-        "tap_ratio": ([branch.tap for branch in branches], 1.0),
-        "tap_steps": ([branch.tap_steps for branch in branches], 0.0),
-        "shift_deg": ([math.degrees(branch.shift) for branch in branches], 0.0),
-        "in_service": ([branch.in_service for branch in branches], True),
-        "switch": ([branch.switch for branch in branches], False),
-        "name": ([branch.name for branch in branches], ""),
-        "rating_a": ([_rating_a(branch, network) for branch in branches], None),
-        "rating_mva": ([_rating_mva(branch, network) for branch in branches], None),
-    }
-    given: dict[str, list[Any]] = {
-        "from": [branch.from_bus for branch in branches],
-        "to": [branch.to_bus for branch in branches],
-        "r_pu": [branch.r for branch in branches],
-        "x_pu": [branch.x for branch in branches],
-    }
-    return given | {key: column for key, (column, default) in columns.items() if any(v != default for v in column)}
+def _columns_of(rows: Sequence[Mapping[str, object]]) -> dict[str, list[Any]]:
+    """A list for each key that a row has; of a row without it the value that leaves it out."""
+    keys = dict.fromkeys(key for row in rows for key in row)
+    return {key: [row.get(key, LEFT_OUT.get(key)) for row in rows] for key in keys}
 
 
 def _find_id_problems(network: Network) -> Iterable[str]:
@@ -136,18 +106,18 @@ def _branch_row(branch: Branch, network: Network) -> dict[str, object]:
         row["id"] = branch_id
     row |= _ports_row(branch.primitive) if branch.primitive else {"r_pu": branch.r, "x_pu": branch.x}
     optional = {
-        "b_pu": (branch.b, 0.0),
-        "g_pu": (branch.g, 0.0),
-        "tap_ratio": (branch.tap, 1.0),
-        "tap_steps": (branch.tap_steps, 0.0),
-        "shift_deg": (math.degrees(branch.shift), 0.0),
-        "in_service": (branch.in_service, True),
-        "switch": (branch.switch, False),
-        "name": (branch.name, ""),
-        "rating_a": (_rating_a(branch, network), None),
-        "rating_mva": (_rating_mva(branch, network), None),
+        "b_pu": branch.b,
+        "g_pu": branch.g,
+        "tap_ratio": branch.tap,
+        "tap_steps": branch.tap_steps,
+        "shift_deg": math.degrees(branch.shift),
+        "in_service": branch.in_service,
+        "switch": branch.switch,
+        "name": branch.name,
+        "rating_a": _rating_a(branch, network),
+        "rating_mva": _rating_mva(branch, network),
     }
-    return row | {key: value for key, (value, default) in optional.items() if value != default}
+    return row | {key: value for key, value in optional.items() if value != LEFT_OUT.get(key)}
 
 
 def _ports_row(primitive: Primitive) -> dict[str, object]:
@@ -165,6 +135,11 @@ def _ports_row(primitive: Primitive) -> dict[str, object]:
 def _load_row(load: Load, base_kw: float) -> dict[str, object]:
     row = {"bus": load.bus, "phases": load.phases, "p_kw": [load.s.real * base_kw], "q_kvar": [load.s.imag * base_kw]}
     return row | ({"exponents": list(load.exponents)} if any(load.exponents) else {})
+
+
+def _shunt_row(shunt: Shunt, base_kw: float) -> dict[str, object]:
+    y = shunt.y * find_nominal_across(shunt.phases) ** 2 * base_kw
+    return {"bus": shunt.bus, "phases": shunt.phases, "g_kw": [y.real], "b_kvar": [y.imag]}
 
 
 def _rating_a(branch: Branch, network: Network) -> float | None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.grid.loads import Load
+from dsse_core.grid.loads import Shunt
 from dsse_core.grid.network import Branch, Bus, Network
 from dsse_core.grid.nodes import list_phases, read_phases, write_phases
 from dsse_core.grid.physical_ranges import find_range_problems
@@ -49,7 +49,8 @@ def fuse_zero_impedances(network: Network) -> tuple[Network, list[Remark]]:
         buses=tuple(_add_up(of, shunts.get(bus, [])) for bus, of in members.items()),
         branches=_moved([b for b in network.branches if root[b.from_bus] != root[b.to_bus]], root),
         generators=tuple(replace(g, bus=root[g.bus]) for g in network.generators),
-        loads=(*(replace(load, bus=root[load.bus]) for load in network.loads), *_find_legs_of_shunts(members)),
+        loads=tuple(replace(load, bus=root[load.bus]) for load in network.loads),
+        shunts=(*(replace(shunt, bus=root[shunt.bus]) for shunt in network.shunts), *_find_legs_of_shunts(members)),
     )
     rest, more = fuse_zero_impedances(fused)  # the median of the remaining branches may be larger
     return rest, [*_find_remarks(network, zero, gone, root), *more]
@@ -106,13 +107,13 @@ def _join_phases(members: Iterable[Bus]) -> str:
     return write_phases(int(np.bitwise_or.reduce(read_phases([bus.phases for bus in members]))))
 
 
-def _find_legs_of_shunts(members: Mapping[int, Sequence[Bus]]) -> Iterator[Load]:
-    """Shunts of buses with some phases of the one that they become: loads of constant impedance."""
+def _find_legs_of_shunts(members: Mapping[int, Sequence[Bus]]) -> Iterator[Shunt]:
+    """Shunts of buses with some phases of the one that they become."""
     for first, of_first in members.items():
         for bus in of_first:
             if bus.has_shunt and bus.phases != _join_phases(of_first):
-                s = complex(bus.g_shunt, -bus.b_shunt)
-                yield from (Load(first, phase, s, (2.0, 2.0)) for phase in list_phases(bus.phases))
+                y = complex(bus.g_shunt, bus.b_shunt)
+                yield from (Shunt(first, phase, y) for phase in list_phases(bus.phases))
 
 
 def _moved(branches: Iterable[Branch], root: Mapping[int, int]) -> tuple[Branch, ...]:

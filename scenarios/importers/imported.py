@@ -209,6 +209,7 @@ def without_buses(network: Network, gone: Collection[int], reason: str) -> tuple
         branches=branches,
         generators=tuple(g for g in network.generators if g.bus not in gone),
         loads=tuple(load for load in network.loads if load.bus not in gone),
+        shunts=tuple(shunt for shunt in network.shunts if shunt.bus not in gone),
     )
     return rest, [Remark("left out", text)]
 

@@ -10,7 +10,7 @@ import numpy as np
 from dsse_core.estimation.decision import Decision, Memory, add_totals, decide
 from dsse_core.exchange.area_estimation import AreaEstimation
 from dsse_core.grid.admittance import build_admittance, flat_start
-from dsse_core.grid.loads import Load, find_nominal
+from dsse_core.grid.loads import Load, Shunt, find_nominal
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
@@ -73,7 +73,9 @@ def make_feeder(*ties: Branch, between: Mapping[int, Sequence[str]] | None = Non
     rng = np.random.default_rng(1)
     loads = [Load(bus, p, complex(*rng.uniform(0.05, 0.25, 2))) for bus, phases in drawn.items() for p in phases]
     buses = tuple(Bus(bus, 4.16, phases=phases) for bus, phases in BUSES.items())
-    return Network("feeder", 5.0, buses, tuple(lines), (Generator(650, Control.SLACK),), tuple(loads))
+    shunts = Shunt(671, "ab", 0.01 + 0.05j), Shunt(684, "c", 0.06j), Shunt(692, "a", 0.02j)
+    source = Generator(650, Control.SLACK)
+    return Network("feeder", 5.0, buses, tuple(lines), (source,), tuple(loads), shunts=shunts)
 
 
 def solve(network: Network) -> np.ndarray:

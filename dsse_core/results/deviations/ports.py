@@ -20,7 +20,7 @@ from dsse_core.grid.measurement_model import build_model_of_rows
 from dsse_core.grid.meter_table import KINDS
 from dsse_core.results.deviations.branch_variances import differentiate_magnitude
 from dsse_core.results.deviations.sparse import find_metered_injections
-from dsse_core.results.flows import find_shunt_powers
+from dsse_core.results.flows import differentiate_shunt_powers
 from dsse_core.results.state import GridState
 from dsse_core.results.totals import Division, find_shares
 
@@ -90,11 +90,10 @@ class PortDeviations:
     def of_totals(self, division: Division) -> np.ndarray:
         """Variances of P of TOTALS of all areas, then of Q, (8 n_area,); nan where that would take too long."""
         state, rows = self._state, []
-        branches, shunt = state.branches, find_shunt_powers(state.network, state.vm, state.va)
+        branches, shunt = state.branches, differentiate_shunt_powers(state.network, state.vm, state.va)
         for part, at_port in ((np.real, self._p), (np.imag, self._q)):
             shares = find_shares(state, division, part(state.injection))
-            of_shunt = sp.csr_array(shares.of_shunt @ sp.diags_array(2 * part(shunt) / state.vm))
-            found = self._select(of_shunt, self._vm)
+            found = self._select(sp.csr_array(shares.of_shunt @ part(shunt)), np.arange(2 * len(state.vm)))
             for share, port in ((shares.at_from, branches.from_port), (shares.at_to, branches.to_port)):
                 found = found + self._select(share, at_port[port])
             rows.append(found)

@@ -180,7 +180,7 @@ class Circuit:
         converted |= {f"{kind}s": named[kind] for kind in CONVERTED}
         regulating = {f"transformer.{name}" for name, _ in self.answer["regulated"]}
         regulators = [b for b in network.active_branches if not regulating.isdisjoint(b.name.split(UNITS))]
-        loads = list(zip(names, network.loads, strict=False))  # further legs are shunts of fused buses
+        loads = list(zip(names, network.loads, strict=True))
         return Imported(
             network,
             f"OpenDSS circuit {path.name}",

@@ -22,6 +22,7 @@ from dsse_core.grid.primitives import build_bank, connect
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.results.buses import make_bus_table
 from dsse_core.results.deviations.choose import find_deviations
+from dsse_core.results.flows import find_shunt_powers
 from dsse_core.results.results import results_of_estimate, results_of_power_flow
 from dsse_core.results.scans import make_scan_table, name_lowest
 from dsse_core.results.state import AreaVoltages, find_state, join_states, read_state
@@ -89,11 +90,12 @@ def test_rows_of_branches_are_conductors_whose_powers_add_up_to_the_injections(
     phases = {branch.id: branch.primitive.from_phases for branch in feeder.branches if branch.primitive}
     expected = [(branch, phase) for branch, found in phases.items() for phase in found]
     assert list(zip(branches.branch, branches.phase, strict=True)) == expected
-    for bus, phase, injected in zip(buses.bus, buses.phase, buses.p_kw, strict=True):
+    into_branches = buses.p_kw - KW * find_shunt_powers(feeder, estimate.vm, estimate.va).real
+    for bus, phase, injected in zip(buses.bus, buses.phase, into_branches, strict=True):
         of_phase = np.array(branches.phase) == phase
         away = branches.p_from_kw[of_phase & (branches.from_bus == bus)].sum()
         assert away + branches.p_to_kw[of_phase & (branches.to_bus == bus)].sum() == pytest.approx(injected, abs=1e-8)
-    assert branches.loss_kw.sum() == pytest.approx(buses.p_kw.sum())
+    assert branches.loss_kw.sum() == pytest.approx(into_branches.sum())
     at_632 = (branches.from_bus == 632) & (np.array(branches.branch) == "632-671")
     u = buses.vm_kv[feeder.nodes_at(632)]
     s = branches.p_from_kw + 1j * branches.q_from_kvar
@@ -182,8 +184,13 @@ def assert_dense(result: EstimationResult) -> None:
     for k in (0, 1):
         check(found.branches[6 + k], at_ends[0][k] + at_ends[1][k], "losses")
     loss, n = (at_ends[0] + at_ends[1]).sum(axis=1), network.n_nodes
+    steps = 1e-6 * np.eye(2 * n)
+    drawn = [
+        [find_shunt_powers(network, *np.split(x + sign * step, 2)[::-1]).sum() for sign in (1, -1)] for step in steps
+    ]
+    of_shunts = -np.diff(drawn, axis=1).ravel() / 2e-6
     for k, of_shunt in enumerate((np.real, np.imag)):
-        loss[k, n:] += 2 * of_shunt(network.table.shunt.conj()[network.table.nodes.item]) * result.vm
+        loss[k] += of_shunt(of_shunts)
     check(found.totals[:, 2, 0], loss, "total loss")
 
 
@@ -209,7 +216,8 @@ def test_a_conductor_without_one_of_its_ends_is_empty_there_and_losses_add_up(fe
     assert [branches.phase[k] for k in here] == ["a", "s1", "s2"]
     np.testing.assert_array_equal(np.isnan(branches.p_from_kw[here]), [False, True, True])
     np.testing.assert_array_equal(np.isnan(branches.i_to_a[here]), [True, False, False])
-    assert branches.loss_kw.sum() == pytest.approx(results_of_estimate(result).buses.p_kw.sum())
+    drawn = KW * find_shunt_powers(network, result.vm, result.va).real.sum()
+    assert branches.loss_kw.sum() + drawn == pytest.approx(results_of_estimate(result).buses.p_kw.sum())
     opened = np.array([branch == TIE.id for branch in branches.branch])
     assert not branches.in_service[opened].any()
     np.testing.assert_array_equal(branches.p_from_kw[opened], 0.0)
@@ -267,7 +275,7 @@ def test_rows_of_a_part_without_ground_say_so_and_promise_no_voltages_to_ground(
         for load in feeder.loads
     )
     buses = tuple(replace(bus, b_shunt=1e-5) if bus.id == 675 else bus for bus in feeder.buses)
-    network = replace(feeder, buses=buses, branches=tuple(loose), loads=loads)
+    network = replace(feeder, buses=buses, branches=tuple(loose), loads=loads, shunts=())
     result = solve_power_flow(network)
     tables = results_of_power_flow(result, meters=[Meter(KIND.P_INJECTION, 675), Meter(KIND.VM, 675, phases="ab")])
     buses, at = tables.buses, network.nodes_at(675)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,12 +40,18 @@ load = [
     { bus = 3, phases = "ca,a", p_kw = [200.0, 20.0], q_kvar = [100.0, 0.0] },
     { bus = 4, phases = "a,b,c", q_kvar = [-50.0, -50.0, -50.0], exponents = [2.0, 2.0], kv = 2.0 },
 ]
+shunt = [
+    { bus = 3, phases = "a", b_kvar = [100.0] },
+    { bus = 4, phases = "ab,c", g_kw = [6.0, 0.0], b_kvar = [60.0, 40.0] },
+]
 source = [{ bus = 1, kind = "slack", vm_pu = 1.0 }, { bus = 3, kind = "power", p_mw = 0.4, q_mvar = 0.2 }]
 [[transformer]]
 id = "bank"
 kva = 3000.0
 r_percent = 1.0
 x_percent = 6.0
+no_load_percent = 0.4
+magnetising_percent = 2.0
 windings = [
     { bus = 2, phases = "abc", kv = 12.0, connection = "delta" },
     { bus = 4, phases = "abc", kv = 4.0, connection = "grounded wye", taps = [1.0, 1.02, 1.05] },
@@ -78,7 +88,10 @@ def test_matrices_banks_and_legs_become_per_unit_of_a_third_of_the_power_base(tm
         "1-2": build_line("abc", (0.1 + 0.2j) * np.eye(3), 3e-6j * 24 * np.eye(3)),
         "2-3": build_line("ac", Z),
         "bank": build_bank(
-            connect("abc", "delta reversed"), connect("abc", "grounded", (1.0, 1.02, 1.05)), 0.5 / (0.01 + 0.06j)
+            connect("abc", "delta reversed"),
+            connect("abc", "grounded", (1.0, 1.02, 1.05)),
+            0.5 / (0.01 + 0.06j),
+            0.002 - 0.01j,
         ),
     }
     for name, primitive in expected.items():
@@ -93,6 +106,20 @@ def test_matrices_banks_and_legs_become_per_unit_of_a_third_of_the_power_base(tm
     assert network.branch("2-3").s_max == pytest.approx(2 / 4)
 
 
+def test_shunts_stand_at_the_phases_that_they_name(tmp_path: Path) -> None:
+    network = load(tmp_path, GOOD)
+    plain = replace(network, shunts=())
+    added = build_admittance(network).ybus - build_admittance(plain).ybus
+    between = (0.003 + 0.03j) / 3
+    expected = np.diag([0.05j, between, between, 0.02j]).astype(complex)
+    rows = [network.node(*place) for place in ((3, "a"), (4, "a"), (4, "b"), (4, "c"))]
+    expected[1, 2] = expected[2, 1] = -between
+    assert added.toarray()[np.ix_(rows, rows)] == pytest.approx(expected, abs=1e-14)
+    assert abs(added).sum() == pytest.approx(abs(expected).sum(), abs=1e-13)
+    no_load = [build_admittance(one, with_shunts=False).ybus for one in (network, plain)]
+    assert abs(no_load[0] - no_load[1]).max() == 0
+
+
 def test_the_clock_of_a_bank_is_the_lag_of_its_low_side(tmp_path: Path) -> None:
     for clock in (1, 5, 7, 11):
         network = load(
@@ -103,7 +130,9 @@ def test_the_clock_of_a_bank_is_the_lag_of_its_low_side(tmp_path: Path) -> None:
         assert (turn + 30 * clock + 180) % 360 - 180 == pytest.approx(0, abs=2)
     low = changed(('"delta"', '"wye"'), ('"grounded wye"', '"delta"'))
     assert load(tmp_path, low).branch("bank").primitive.y == pytest.approx(
-        build_bank(connect("abc", "wye"), connect("abc", "delta", (1.0, 1.02, 1.05)), 0.5 / (0.01 + 0.06j)).y
+        build_bank(
+            connect("abc", "wye"), connect("abc", "delta", (1.0, 1.02, 1.05)), 0.5 / (0.01 + 0.06j), 0.002 - 0.01j
+        ).y
     )
 
 
@@ -158,7 +187,9 @@ def test_windings_may_stand_anywhere(tmp_path: Path) -> None:
     bank = load(tmp_path, opened).branch("bank").primitive
     assert (bank.from_phases, bank.to_phases) == ("ab", "abc")
     a, b = 1, np.exp(-2j * np.pi / 3)
-    assert bank.y @ [a, b, 0, -(3**0.5) * a, -(3**0.5) * (a + b)] == pytest.approx(np.zeros(5), abs=1e-12)
+    assert (bank.y - bank.charging) @ [a, b, 0, -(3**0.5) * a, -(3**0.5) * (a + b)] == pytest.approx(
+        np.zeros(5), abs=1e-12
+    )
 
 
 @pytest.mark.parametrize(
@@ -221,6 +252,30 @@ def test_centre_tapped_units_feed_two_halves(tmp_path: Path) -> None:
     assert np.angle(turn) == pytest.approx(drop.imag, abs=1e-4)
 
 
+def list_branches(tmp_path: Path, **changes: Any) -> Path:
+    """GOOD as JSON whose branches are lists by key, with ``changes``."""
+    tables = tomllib.loads(GOOD)
+    keys = dict.fromkeys(key for table in tables["branch"] for key in table)
+    tables["branch"] = {key: [table.get(key) for table in tables["branch"]] for key in keys} | changes
+    path = tmp_path / "lists.json"
+    path.write_text(json.dumps(tables), encoding="utf-8")
+    return path
+
+
+def test_branches_with_phases_may_be_lists(tmp_path: Path) -> None:
+    by_lists, by_tables = load_network(list_branches(tmp_path)), load(tmp_path, GOOD)
+    assert by_lists.branches == by_tables.branches
+    for changes, text in (
+        ({"phases": ["abc"]}, "branch: the lists need as many values each; from has 2, to has 2, phases has 1"),
+        ({"r_omh": [1, 2], "x_ohm": 3}, "branch: unknown key 'r_omh'; allowed: from, to, "),
+        ({"phases": [None, "ac"]}, "branch[1].phases: missing; in a network with phases each branch says those"),
+        ({"r_ohm": [2.4, None]}, "branch[2]: has no complete impedance; give r_ohm and x_ohm"),
+    ):
+        with pytest.raises(InvalidInputError) as caught:
+            load_network(list_branches(tmp_path, **changes))
+        assert caught.value.problems[0].startswith(text)
+
+
 @pytest.mark.parametrize("suffix", ["toml", "json"])
 @pytest.mark.parametrize("name", ["ieee13", "grid"])
 def test_a_network_with_phases_is_read_back_as_it_was_written(tmp_path: Path, suffix: str, name: str) -> None:
@@ -240,6 +295,8 @@ def test_a_network_with_phases_is_read_back_as_it_was_written(tmp_path: Path, su
         (x.bus, x.phases, x.exponents) for x in network.loads
     ]
     assert [x.s for x in again.loads] == pytest.approx([x.s for x in network.loads], rel=1e-14)
+    assert [(x.bus, x.phases) for x in again.shunts] == [(x.bus, x.phases) for x in network.shunts]
+    assert [x.y for x in again.shunts] == pytest.approx([x.y for x in network.shunts], rel=1e-14)
     assert again.buses == network.buses
     assert again.generators == network.generators
 
@@ -326,6 +383,17 @@ def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
             "load[2].exponents: has 2 pairs; phases 'a,b,c' are 3 legs",
         ),
         (('{ bus = 3, phases = "ca,a"', '{ bus = 9, phases = "ca,a"'), "load[1].bus: bus 9 is not defined"),
+        (
+            ('bus = 3, phases = "a", b', 'bus = 3, phases = "b", b'),
+            "shunt[1].phases: bus 3 has no phase b; it has a, c",
+        ),
+        ((", b_kvar = [100.0]", ""), "shunt[1]: has no power; give g_kw or b_kvar"),
+        (("[60.0, 40.0]", "[60.0]"), "shunt[2].b_kvar: has 1 numbers; phases 'ab,c' are 2 legs"),
+        (("b_kvar = [100.0]", "b_kvar = [1e13]"), "shunt at bus 3, a: susceptance is 5e+09 p.u.; it must lie"),
+        (
+            ("magnetising_percent = 2.0", "magnetising_percent = 2e9"),
+            "transformer[1].magnetising_percent is 1e+07 p.u.; it must lie between",
+        ),
         (
             ('connection = "delta"', 'connection = "star"'),
             "transformer[1].windings[1].connection: 'star' is no winding; give 'grounded wye', 'wye'",

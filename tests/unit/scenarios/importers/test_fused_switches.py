@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.grid.loads import Load
+from dsse_core.grid.loads import Load, Shunt
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.grid.primitives import build_bank, build_line, connect, find_size
 from dsse_core.power_flow.newton_raphson import solve_power_flow
@@ -48,7 +48,7 @@ def test_the_power_flow_of_fused_switches_is_that_of_short_lines(feeder: Network
     assert [bus.id for bus in fused.buses] == [1, 2, 3, 4, 6]
     assert [branch.id for branch in fused.branches] == ["1-2", "2-3", "3-4", "4-6"]  # the regulator stays
     assert fused.bus(4).phases == "abc"
-    assert [(load.bus, load.phases, load.s) for load in fused.loads][-1] == (4, "b", -0.02j)
+    assert fused.shunts == (Shunt(4, "b", 0.02j),)
     assert "bus 9 into bus 3, joined by branch 9-3" in remarks[0].text
     assert remarks[-1].text == "branch 9-3, 4-5: its charging, as it has no impedance"
     whole, one = solve_power_flow(feeder), solve_power_flow(fused)

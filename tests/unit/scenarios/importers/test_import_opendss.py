@@ -195,6 +195,8 @@ windings = [{ bus = 2, phases = "abc", kv = 4.16, connection = "FROM" },
 kva = 500.0
 r_percent = 1.1
 x_percent = 4.0
+no_load_percent = 0.4
+magnetising_percent = 2.0
 [[transformer]]
 windings = [{ bus = 2, phases = "a", kv = 4.16, connection = "grounded wye" },
             { bus = 4, phases = "a", kv = 4.16, connection = "grounded wye", taps = [1.0625] }]
@@ -207,6 +209,8 @@ windings = [{ bus = 2, phases = "b", kv = 4.16, connection = "grounded wye" },
 kva = 25.0
 r_percent = 1.2
 x_percent = 2.0
+no_load_percent = 0.2
+magnetising_percent = 0.5
 """
 SAME = """new circuit.same basekv=4.16
 edit vsource.source bus1=1 enabled=yes
@@ -216,15 +220,15 @@ BANK
 new transformer.reg phases=1 buses=[2.1 4.1] kvs=[(4.16 3 sqrt /) (4.16 3 sqrt /)] kvas=[1666 1666] xhl=1
 ~ %rs=[0.005 0.005] taps=[1 1.0625]
 new transformer.tap phases=1 windings=3 buses=[2.2 5.1.0 5.0.2] kvs=[(4.16 3 sqrt /) (0.208 3 sqrt /) (0.208 3 sqrt /)]
-~ kvas=[25 25 25] xhl=2.4 xht=2.4 xlt=1.6 %rs=[0.6 1.2 1.2]
+~ kvas=[25 25 25] xhl=2.4 xht=2.4 xlt=1.6 %rs=[0.6 1.2 1.2] %noloadloss=0.2 %imag=0.5
 set voltagebases=[4.16 0.48 0.208]
 calcvoltagebases
 """
 BANK = """new transformer.t buses=[2NEUTRAL 3NEUTRAL] conns=[CONN CONN] kvs=[4.16 0.48] kvas=[500 500] xhl=4
-~ %rs=[0.55 0.55] taps=[1 1.025]"""
+~ %rs=[0.55 0.55] taps=[1 1.025] %noloadloss=0.4 %imag=2"""
 OPEN_DELTA = """new transformer.t phases=1 buses=[2.1.2 3.1.2] conns=[delta delta] kvs=[4.16 0.48] kvas=[250 250] xhl=4
-~ %rs=[0.55 0.55] taps=[1 1.025]
-new transformer.u like=t buses=[2.2.3 3.2.3]"""
+~ %rs=[0.55 0.55] taps=[1 1.025] %noloadloss=0.4 %imag=2
+new transformer.u like=t buses=[2.2.3 3.2.3] %imag=2"""
 SCENARIO = """
 version = 1
 name = "own"
