@@ -29,7 +29,7 @@ DEFAULT_LIMITS = StateLimits()
 class OperatingLimits:
     """Limits of a grid in operation; what exceeds them is shown as a violation, and the estimate is as good as before.
 
-    Magnitudes in p.u., loading in percent of the rating.
+    Magnitudes in p.u., loading in percent of the rating, unbalance in percent.
     """
 
     lowest_vm: NotNegative = 0.9
@@ -37,6 +37,8 @@ class OperatingLimits:
     most_loading_percent: Positive = 100.0
     most_residual: Positive = THRESHOLD
     """Largest normalised residual of a meter in use."""
+    most_unbalance_percent: Positive = 3.0
+    """Largest |V-| / |V+| of a three-phase bus; EN 50160 asks for 2, in places 3."""
 
 
 DEFAULT_OPERATING_LIMITS = OperatingLimits()

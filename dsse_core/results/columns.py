@@ -22,6 +22,13 @@ Texts: TypeAlias = Sequence[str]
 OF_ALL_PHASES = ("unbalance_percent", "neutral_a")  # of a bus, of a branch: the same in the row of each phase
 
 
+def find_first_rows(ids: Sequence[object] | np.ndarray) -> np.ndarray:
+    """True in the first row of each bus or branch, whose rows follow each other, (n_row,)."""
+    is_first = np.ones(len(ids), dtype=bool)
+    is_first[1:] = [one != other for one, other in zip(ids[1:], ids[:-1], strict=True)]
+    return is_first
+
+
 def list_columns(columns: Any) -> dict[str, Any]:
     """The columns of an instance that its table has."""
     return {name: column for name, column in vars(columns).items() if column is not None}

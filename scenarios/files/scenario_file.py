@@ -359,6 +359,8 @@ class QualityTable(Table):
     """Largest loading of a branch in operation."""
     most_residual: Positive = DEFAULT_OPERATING_LIMITS.most_residual
     """Normalised residual above which a meter in use is shown as a violation; bad data are looked for above 3."""
+    most_unbalance_percent: Positive = DEFAULT_OPERATING_LIMITS.most_unbalance_percent
+    """Largest unbalance, `V-` by `V+`, of a three-phase bus in operation."""
 
     @model_validator(mode="after")
     def _is_a_band(self) -> Self:
@@ -374,7 +376,7 @@ class QualityTable(Table):
     def of_operation(self) -> OperatingLimits:
         """The limits of the grid in operation."""
         band = self.operating_lowest_vm_pu, self.operating_highest_vm_pu
-        return OperatingLimits(*band, self.most_loading_percent, self.most_residual)
+        return OperatingLimits(*band, self.most_loading_percent, self.most_residual, self.most_unbalance_percent)
 
 
 class TolerancesTable(Table):

@@ -6,7 +6,7 @@ import { test } from "node:test";
 import { findTiles, findWorst } from "./static/glance.js";
 
 const grid = {
-  operating_limits: { lowest_vm_pu: 0.9, highest_vm_pu: 1.1, most_loading_percent: 100, most_residual: 3 },
+  operating_limits: { lowest_vm_pu: 0.9, highest_vm_pu: 1.1, most_loading_percent: 100, most_residual: 3, most_unbalance_percent: 3 },
   buses: { id: [1, 2, 3, 4, 5, 6], area: ["a", "a", "a", "b", "b", "b"] }, branches: { id: ["1-2", "2-3"], area: ["a", "b"] },
 };
 const at = (where, value) => ({ at: where, value });
@@ -55,6 +55,12 @@ test("what is outside the limits is counted and offered, the farthest first", ()
   assert.deepEqual([Voltage.state, Voltage.text], ["bad", "5 buses outside 0.9 to 1.1 p.u."]);
   assert.deepEqual(Voltage.offers.map(({ choice }) => choice.id), ["3", "2", "5", "1"]);
   assert.deepEqual([Loading.state, Loading.text, Loading.offers[0].label], ["bad", "1 branch above 100 %.", "2-3: 112.0 %"]);
+});
+
+test("buses above the limit of unbalance are counted and offered", () => {
+  const { Voltage } = tilesOf({ of: { unbalance: spread(4, at("2", 0.1), at("5", 3.4), { outside: 1, worst: [at("5", 3.4)] }) } });
+  assert.deepEqual([Voltage.state, Voltage.text], ["bad", "All 6 buses within 0.9 to 1.1 p.u.; unbalance of 1 bus above 3 %"]);
+  assert.deepEqual(Voltage.offers, [{ label: "5: unbalance 3.4 %", choice: { kind: "bus", id: "5" } }]);
 });
 
 test("what is not known now is not called good, and is counted", () => {

@@ -10,12 +10,13 @@ import numpy as np
 
 from coordinator.lab.evaluation.scan_estimates import ScanEstimates
 from coordinator.show.report.number_cells import BLANK, place, write_fixed, write_significant, write_texts
-from coordinator.show.report.phase_rows import find_first_rows, show_by_site
+from coordinator.show.report.phase_rows import show_by_site
 from coordinator.watch.tables import format_table
 from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.estimation.residuals import describe_tap
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.printable import all_printable, printable, shortened
+from dsse_core.results.columns import find_first_rows
 from dsse_core.results.results import Results
 from dsse_core.results.scans import ScanTables, name_lowest
 from dsse_core.results.table import Table, name_by_phase

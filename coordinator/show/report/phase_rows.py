@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from coordinator.lab.evaluation.result import RunOutcome
-from dsse_core.results.columns import OF_ALL_PHASES
+from dsse_core.printable import listed
+from dsse_core.results.columns import OF_ALL_PHASES, find_first_rows
 from dsse_core.results.table import Table
 
 
@@ -27,15 +26,10 @@ def show_by_site(table: Table, ids: str) -> Table:
     return Table("rows", shown)
 
 
-def find_first_rows(ids: Sequence[object] | np.ndarray) -> np.ndarray:
-    """True in the first row of each bus or branch, whose rows follow each other, (n_row,)."""
-    is_first = np.ones(len(ids), dtype=bool)
-    is_first[1:] = [one != other for one, other in zip(ids[1:], ids[:-1], strict=True)]
-    return is_first
-
-
 def describe_unbalance(result: RunOutcome) -> str:
-    """Sentence on the largest unbalance and the largest neutral current, of fresh numbers; empty without phases."""
+    """Sentence on the largest unbalance, the largest neutral current, and buses beyond the limit, of fresh numbers;
+    empty without phases.
+    """
     buses, branches = result.buses, result.branches
     if "unbalance_percent" not in buses.columns:
         return ""
@@ -48,4 +42,7 @@ def describe_unbalance(result: RunOutcome) -> str:
         if not np.isnan(values).all():
             row = int(np.nanargmax(values))
             found.append(text.format(values[row], of[row]))
-    return f"largest {', largest '.join(found)}" if found else ""
+    limit = result.scenario.operating_limits.most_unbalance_percent
+    beyond = buses.bus[buses.fresh & (buses.unbalance_percent > limit) & find_first_rows(buses.bus)].tolist()
+    more = f"; unbalance above {limit:g} % at bus {listed(beyond)}" if beyond else ""
+    return f"largest {', largest '.join(found)}{more}" if found else ""

@@ -10,7 +10,7 @@ from coordinator.lab.evaluation.result import RunResult
 from coordinator.show.figures.run_figures import draw_run, save_figures
 from coordinator.show.figures.style import Drawing
 from coordinator.show.report.page import MAX_ROWS, Page, PageTable, write_page
-from coordinator.show.report.phase_rows import find_first_rows, show_by_site
+from coordinator.show.report.phase_rows import show_by_site
 from coordinator.show.report.settings import find_origin
 from coordinator.show.report.text import (
     describe_run,
@@ -22,6 +22,7 @@ from coordinator.show.report.text import (
 from coordinator.watch.observe.view_text import write_summary
 from dsse_core.grid.measurement import KIND_OF, MeasurementKind
 from dsse_core.printable import printable, shortened
+from dsse_core.results.columns import find_first_rows
 from dsse_core.results.meters import read_in_own_units
 from dsse_core.results.table import ALL_PHASES, Table
 

@@ -154,4 +154,5 @@ def _describe_limits(limits: OperatingLimits) -> dict[str, Any]:
         "highest_vm_pu": limits.highest_vm,
         "most_loading_percent": limits.most_loading_percent,
         "most_residual": limits.most_residual,
+        "most_unbalance_percent": limits.most_unbalance_percent,
     }

@@ -85,6 +85,7 @@ class OperatingLimits(TypedDict):
     highest_vm_pu: float
     most_loading_percent: float
     most_residual: float
+    most_unbalance_percent: float
 
 
 class Grid(TypedDict):

@@ -132,6 +132,12 @@ WORDS = {
     "high voltage": Words(
         "bus {bus} is at {vm} p.u., above {limit} p.u.{more}", "lower the voltage", ALARM, "{vm} p.u."
     ),
+    "unbalance": Words(
+        "the unbalance of bus {bus} is {percent} %, above {limit} %{more}",
+        "move loads to other phases",
+        ALARM,
+        "unbalance {percent} %",
+    ),
     "version": Words("{fault}", "{cure}", WARNING, ""),
     "duplicate": Words("{fault}", "stop the older ones", WARNING, ""),
     "clock": Words(
@@ -188,7 +194,7 @@ WORDS = {
 }
 """Kind -> its words; of several causes the one of an earlier kind comes first, and alarms before warnings."""
 CAUSE_KINDS = tuple(WORDS)
-OF_GRID = ("loading", "low voltage", "high voltage")
+OF_GRID = ("loading", "low voltage", "high voltage", "unbalance")
 """Kinds that are states of the grid; all others are faults of the data on it."""
 REMARKS = {
     "grid": "The grid itself is beyond a limit.",
@@ -559,8 +565,8 @@ class _Findings:
                 yield self.make(BAD_DATA, words, since, areas=(area.name,), **_find_places(meters))
 
     def find_violations(self, summary: Summary) -> Iterator[Cause]:
-        """The branch and the bus farthest beyond their limits."""
-        loading, voltage, limits = summary.loading, summary.voltage, summary.limits
+        """The branch and the buses farthest beyond their limits."""
+        loading, voltage, unbalance, limits = summary.loading, summary.voltage, summary.unbalance, summary.limits
         for worst in loading.worst[:1]:
             words = {"branch": worst.at, "percent": f"{worst.value:.1f}", "more": _and_more(loading.outside)}
             labels = [found.at for found in loading.worst]
@@ -581,6 +587,10 @@ class _Findings:
                 None,
                 buses=tuple(dict.fromkeys(int(found.at.partition(".")[0]) for found in voltage.worst)),
             )
+        for worst in unbalance.worst[:1]:
+            words = {"bus": worst.at, "percent": f"{worst.value:.2f}", "limit": f"{limits.most_unbalance_percent:g}"}
+            words["more"] = _and_more(unbalance.outside)
+            yield self.make("unbalance", words, None, buses=tuple(int(found.at) for found in unbalance.worst))
 
     def find_rest(self) -> Iterator[Cause]:
         """The worst state that is not good, where no cause is known; work under way comes to its end by itself."""

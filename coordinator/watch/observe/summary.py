@@ -11,6 +11,9 @@ import numpy as np
 from coordinator.watch.observe.grid_tables import OFF, REMOVED, SILENT, UNKNOWN, GridTables, Tables
 from coordinator.watch.observe.view import Extreme
 from dsse_core.estimation.state_limits import DEFAULT_OPERATING_LIMITS, OperatingLimits
+from dsse_core.grid.network import Network
+from dsse_core.grid.nodes import read_phases
+from dsse_core.results.columns import find_first_rows
 from dsse_core.results.table import ALL_PHASES, Table, name_by_phase
 
 MOST_WORST = 4  # violations of one limit that are named
@@ -89,7 +92,7 @@ def summarise(tables: Tables, known: GridTables | None) -> Summary:
         generation=_add_up(np.maximum(p, 0.0), np.maximum(q, 0.0), elsewhere),
         limits=limits,
         has_phases=not known.scenario.network.table.nodes.is_balanced,
-        unbalance=_find_unbalance(buses),
+        unbalance=_find_unbalance(buses, known.scenario.network, limits),
     )
 
 
@@ -109,14 +112,14 @@ def _find_voltage(buses: Table, limits: OperatingLimits) -> Extent:
     return _find_extent(name, buses.vm_pu[at], buses.fresh[at], every, *band)
 
 
-def _find_unbalance(buses: Table) -> Extent:
+def _find_unbalance(buses: Table, network: Network, limits: OperatingLimits) -> Extent:
     """Extent of the unbalance of buses with the phases a, b and c, of which each counts once."""
     if "unbalance_percent" not in buses.columns:
         return Extent()
-    phase = np.array(buses.phase)
-    with_b, with_c = (np.isin(buses.bus, buses.bus[phase == each]) for each in "bc")
-    every = (phase == "a") & with_b & with_c
-    return _find_extent(lambda k: str(buses.bus[k]), buses.unbalance_percent, buses.fresh, every)
+    nodes, three = network.table.nodes, read_phases(["abc"])
+    every = find_first_rows(buses.bus) & (nodes.sets & three == three)[nodes.item]
+    most = limits.most_unbalance_percent
+    return _find_extent(lambda k: str(buses.bus[k]), buses.unbalance_percent, buses.fresh, every, high=most)
 
 
 def _find_residual(meters: dict[str, Any], limits: OperatingLimits) -> Extent:

@@ -135,7 +135,9 @@ def write_summary(summary: Summary) -> Iterator[str]:
     buses, branches = ("nodes", "conductors") if summary.has_phases else ("buses", "branches")
     yield _describe_extent(voltage, buses, ".4f", " p.u.", f"{limits.lowest_vm:g} to {limits.highest_vm:g}")
     if (unbalance := summary.unbalance).highest is not None:
-        yield f"largest unbalance |V-| / |V+| {unbalance.highest.value:.2f} % at bus {printable(unbalance.highest.at)}"
+        text = f"largest unbalance |V-| / |V+| {unbalance.highest.value:.2f} % at bus {printable(unbalance.highest.at)}"
+        beyond = f"; above {limits.most_unbalance_percent:g} %: {listed([each.at for each in unbalance.worst])}"
+        yield f"{text}{beyond if unbalance.outside else ''}"
     if loading.total:
         yield _describe_extent(loading, f"{branches} with a rating", ".1f", " %", f"{limits.most_loading_percent:g}")
     if summary.loss.total:

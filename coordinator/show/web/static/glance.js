@@ -67,7 +67,7 @@ function knownOf({ known, total }, noun) {
 
 /** @param {Moment} moment @param {Grid} grid @returns {Tile} */
 function findVoltages(moment, grid) {
-  const { summary: { voltage, unbalance } } = moment, { operating_limits: { lowest_vm_pu: low, highest_vm_pu: high } } = grid, noun = unitOfCount(moment, "bus");
+  const { summary: { voltage, unbalance } } = moment, { operating_limits: { lowest_vm_pu: low, highest_vm_pu: high, most_unbalance_percent: mostUnbalance } } = grid, noun = unitOfCount(moment, "bus");
   const title = "Voltage", limits = `${low} to ${high} p.u.`, offer = offering(moment, grid, "bus", "vm_pu"), isWhole = voltage.known === voltage.total && voltage.total > 0;
   if (!voltage.known || !voltage.lowest || !voltage.highest) return { title, state: "unknown", text: `${knownOf(voltage, noun)}.`, offers: [] };
   if (voltage.outside) {
@@ -76,6 +76,9 @@ function findVoltages(moment, grid) {
   }
   const all = `All ${counted(voltage.total, noun)}${describeWhole(grid, voltage.total)}`;
   const text = isWhole ? `${all} within ${limits}` : `${knownOf(voltage, noun)}, within ${limits}`;
+  if (unbalance?.outside) {
+    return { title, state: "bad", text: `${text}; unbalance of ${counted(unbalance.outside, "bus")} above ${mostUnbalance} %`, offers: unbalance.worst.slice(0, MOST_OFFERS).map(offerUnbalance) };
+  }
   const most = unbalance?.highest ? [offerUnbalance(unbalance.highest)] : [];
   return { title, state: judge(moment, voltage), text: text + countDoubtful(moment, grid), offers: [offer(voltage.lowest), offer(voltage.highest), ...most] };
 }

@@ -5,7 +5,7 @@
  *   distance: (number|null)[], area: string[], areas: string[][]}} Buses whose `phase` is abc, or the phases that each has
  * @typedef {{id: string[], from_bus: number[], to_bus: number[], in_service: boolean[], area: string[]}} Branches
  * @typedef {{name: string, buses: number[], neighbours: {area: string, bus: number}[]}} Area
- * @typedef {{lowest_vm_pu: number, highest_vm_pu: number, most_loading_percent: number, most_residual: number}} Limits
+ * @typedef {{lowest_vm_pu: number, highest_vm_pu: number, most_loading_percent: number, most_residual: number, most_unbalance_percent: number}} Limits
  * @typedef {{version: string, known: boolean, title: string, axis: string, operating_limits: Limits, mode: string, is_map: boolean, buses: Buses,
  *   branches: Branches, areas: Area[], nodes?: {bus: number[], phase: string[]}, conductors?: {branch: string[], phase: string[]}}} Grid `nodes` of one with phases, `conductors` of a known one
  * @typedef {{value: number, at: string}} Extreme

@@ -44,7 +44,8 @@ def test_each_row_says_whether_it_is_fresh_and_a_summary_counts_those_that_are()
     assert now["summary"]["voltage"]["known"] == now["summary"]["voltage"]["total"] == 13
     assert now["summary"]["loss"]["p_kw"] > 0
     assert grid["operating_limits"] == {
-        **{"lowest_vm_pu": 0.9, "highest_vm_pu": 1.1, "most_loading_percent": 100.0, "most_residual": 3.0}
+        **{"lowest_vm_pu": 0.9, "highest_vm_pu": 1.1, "most_loading_percent": 100.0, "most_residual": 3.0},
+        "most_unbalance_percent": 3.0,
     }
     first = asked.get("/api/frame/0").json()
     assert first["buses"]["fresh"] == [False] * 13

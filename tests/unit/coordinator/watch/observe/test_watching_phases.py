@@ -100,6 +100,13 @@ def test_the_summary_counts_nodes_and_conductors_and_causes_name_them(all_good: 
     (cause,) = [cause for cause in find_causes(view, 0.1, summary=strict) if cause.kind == "low voltage"]
     assert f"bus {NETWORK.node_names[lowest]} is at" in str(cause)
     assert cause.buses == (int(tables.buses.bus[lowest]),)
+    most = summary.unbalance.highest.value - 1e-6
+    uneven = summarise(
+        tables, GridTables(replace(SCENARIO, operating_limits=replace(summary.limits, most_unbalance_percent=most)))
+    )
+    (cause,) = [cause for cause in find_causes(view, 0.1, summary=uneven) if cause.kind == "unbalance"]
+    assert f"the unbalance of bus {summary.unbalance.highest.at} is {most:.2f} %" in str(cause)
+    assert f"; above {most:g} %: {summary.unbalance.highest.at}\n" in format_view(view, [tables.buses], [], uneven)
     text = format_view(view, [tables.buses], [], summary)
     assert f"{NETWORK.n_nodes} nodes" in text
     assert f"% at bus {summary.unbalance.highest.at}" in text
