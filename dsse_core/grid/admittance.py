@@ -191,7 +191,9 @@ def carry_currents(network: Network, held: np.ndarray) -> np.ndarray:
     carried[np.arange(len(held)), held] = 1.0
     if len(free):
         y = ybus[free][:, free].tocsc()
-        grounded = (y + GROUNDED * sp.diags_array(abs(y.diagonal()), format="csc")).tocsc()
+        size = abs(y.diagonal())
+        size[size == 0] = 1.0  # of a node with open branches only
+        grounded = (y + GROUNDED * sp.diags_array(size, format="csc")).tocsc()
         carried[:, free] = -spla.splu(grounded).solve(ybus[held][:, free].T.toarray(), trans="T").T
     return carried
 

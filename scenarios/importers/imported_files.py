@@ -118,14 +118,16 @@ def _write_files(folder: Path, imported: Imported, cut: int | Sequence[str]) -> 
 
 
 def _head(imported: Imported, cut: int | Sequence[str]) -> str:
-    kind = "measurements" if imported.readings else "power flow"
+    network, kind = imported.network, "measurements" if imported.readings else "power flow"
     areas = f"count = {cut}" if isinstance(cut, int) else f"switches = {format_toml(list(cut))}"
+    if isinstance(cut, int) and cut > 1 and (open_ones := [k for k, closed in network.switches.items() if not closed]):
+        areas += f", ties = {format_toml(open_ones)}"
     text = f"{imported.data_source}, its {kind}".replace("\\", "/").replace('"', "'")
     return (
         "# Written by dsse import; import.txt says what was converted, and docs/how-to/import.md how.\n\n"
-        f"version = 1\nname = {format_toml(imported.network.name[:LONGEST_NAME])}\n"
+        f"version = 1\nname = {format_toml(network.name[:LONGEST_NAME])}\n"
         f'description = "{" ".join(text.split())}"\n'
-        f'network = "{name_network_file(imported.network.n_nodes)}"\nstrategy = "information"\n'
+        f'network = "{name_network_file(network.n_nodes)}"\nstrategy = "information"\n'
         f"areas = {{ {areas} }}\n"
     )
 

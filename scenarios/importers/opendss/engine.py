@@ -133,7 +133,7 @@ class Engine:
         ties = self._enable_ties(disabled, set(found["nodes"]))
         found["disabled"] = [name for name in disabled if name not in ties]
         open_ends = dict(self._close_open_lines(elements)) | {name: [0, 1] for name in ties}
-        dss.Text.Command("buildy")
+        dss.YMatrix.BuildYMatrixD(1, 0)  # the command buildy leaves matrices of what has just been closed as they were
         for kind, name in elements:
             if kind in SERIES or kind == "vsource":
                 dss.Circuit.SetActiveElement(f"{kind}.{name}")
@@ -224,7 +224,8 @@ class Engine:
     def _describe_class(self, kind: str, name: str) -> dict[str, Any]:
         dss = self.dss
         if kind == "line":
-            return {"amps": dss.CktElement.NormalAmps()}
+            dss.Lines.Name(name)
+            return {"amps": dss.CktElement.NormalAmps(), "is_switch": bool(dss.Lines.IsSwitch())}
         if kind == "transformer":
             dss.Transformers.Name(name)
             dss.Transformers.Wdg(1)

@@ -20,7 +20,7 @@ import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.loads import Load
-from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.grid.network import ZERO_LINE, Branch, Bus, Control, Generator, Network
 from dsse_core.grid.nodes import PHASES, Primitive, list_phases, share_of_power
 from dsse_core.grid.primitives import find_size
 from dsse_core.printable import listed, printable
@@ -47,6 +47,7 @@ NO_CURRENT = 1e-10  # p.u., round-off of a load of nothing
 NO_SHUNT = 1e-6  # p.u., below which what an element draws that is open at one end is left out
 NO_RATING_A = 400.0  # of lines that state none, OpenDSS's default
 UNITS = ", "  # between the names of units that are one branch
+LEAST_OF_SWITCH = 2 * ZERO_LINE  # share of the median impedance, by which a switch stays a branch
 LARGEST_NUMBER = 10**9  # of a bus, taken from its name
 OF_THREE = ("", "a", "b", "c")
 HALVES = ("", "s1", "s2")
@@ -171,7 +172,7 @@ class Circuit:
         head = self.number[source_bus]
         there = {bus.id for bus in network.buses}
         names = [name for name, leg in self.legs if leg.bus in there]
-        network, fused = fuse_zero_impedances(network)
+        network, fused = fuse_zero_impedances(self._keep_switches(network))
         ids = (branch.id.replace("#", "-") for branch in network.branches)  # as area files have them
         network = replace(network, branches=tuple(map(lambda b, k: replace(b, id=k), network.branches, ids)))
         self.remarks += [*fused, *self._find_remarks()]
@@ -190,6 +191,23 @@ class Circuit:
             places=find_places(network, head, regulators),
             files=write_profiles(self.answer["shapes"], self.answer["loads"], loads),
         )
+
+    def _keep_switches(self, network: Network) -> Network:
+        """``network`` with the impedances of its switches raised where they would make one bus of two: a switch is a
+        branch, so that it may be operated, and areas cut at it."""
+        least, branches, names = LEAST_OF_SWITCH * network.median_impedance, list[Branch](), list[str]()
+        for branch in network.branches:
+            share = abs(complex(branch.r, branch.x)) / least if least else 1.0
+            if branch.switch and branch.primitive and share < 1.0:
+                y, charging = branch.primitive.y, branch.primitive.charging
+                primitive = replace(branch.primitive, y=charging + share * (y - charging))
+                names.append(branch.name)
+                branch = replace(branch, r=branch.r / share, x=branch.x / share, primitive=primitive)
+            branches.append(branch)
+        if names:
+            text = f"switches have at least {least:.3g} p.u., {LEAST_OF_SWITCH:g} of the median impedance"
+            self.remarks.append(Remark("changed", f"{listed(names)}: {text}"))
+        return replace(network, branches=tuple(branches))
 
     def _between(self, bus: str) -> float:
         return round(math.sqrt(3) * self.kv[bus], 9)
@@ -373,7 +391,8 @@ class Circuit:
             branch = replace(branch, i_max=rating(amps / current * self.base_mva, self.base_mva))
         elif kva:
             branch = replace(branch, s_max=rating(kva / 1000 / share_of_power(phases[0]), self.base_mva))
-        return replace(branch, in_service=not element["open_ends"])
+        is_switch = element["name"].startswith("line.") and (element["is_switch"] or bool(element["open_ends"]))
+        return replace(branch, in_service=not element["open_ends"], switch=is_switch)
 
     def _add_shunt(self, name: str, bus: str, phases: Sequence[str], Y: np.ndarray, shunts: dict[str, complex]) -> None:
         """A shunt of the bus where it is alike at each phase, else legs of constant impedance."""
@@ -525,7 +544,9 @@ def _join(units: Sequence[Branch]) -> Branch:
     size, name = find_size(primitive), UNITS.join(unit.name for unit in units)
     i_max = min((unit.i_max for unit in units if unit.i_max is not None), default=None)
     s_max = min((unit.s_max for unit in units if unit.s_max is not None), default=None)
-    return replace(first, r=size.real, x=size.imag, name=name, primitive=primitive, i_max=i_max, s_max=s_max)
+    is_switch = all(unit.switch for unit in units)
+    whole = replace(first, r=size.real, x=size.imag, name=name, primitive=primitive, switch=is_switch)
+    return replace(whole, i_max=i_max, s_max=s_max)
 
 
 def _is_delta(element: Mapping[str, Any]) -> bool:

@@ -2,10 +2,13 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.admittance import carry_currents
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.grid.primitives import build_line
 
 
 def test_every_problem_is_reported_at_once():
@@ -89,3 +92,10 @@ def test_a_branch_is_none_below_a_share_of_the_median_of_those_in_service():
 
 def test_a_network_without_branches_has_none_without_impedance():
     assert Network("one bus", 1.0, (Bus(1, 1.0),), ()).find_zero_impedances() == ()
+
+
+def test_a_node_at_open_branches_only_carries_no_load():
+    line = build_line("a", np.array([[0.1 + 0.1j]]), np.zeros((1, 1)))
+    branches = tuple(Branch(f"{k}-{k + 1}", k, k + 1, 0.1, 0.1, in_service=k < 2, primitive=line) for k in (1, 2))
+    network = Network("tie", 3.0, tuple(Bus(bus, 1.0, phases="a") for bus in (1, 2, 3)), branches)
+    assert carry_currents(network, network.nodes_at(1)).round(12).tolist() == [[1, 1, 0]]

@@ -127,13 +127,15 @@ def test_the_power_flow_of_all_kinds_of_elements_is_that_of_opendss(tmp_path: Pa
 
 
 def test_what_was_changed_is_said_and_profiles_stand_beside(tmp_path: Path) -> None:
-    imported = import_grid(write(tmp_path, TOY))
+    switch = "new line.switch phases=1 bus1=652.1 bus2=653.1 switch=y r1=1e-4 x1=0 c1=0 length=1e-3\n"
+    imported = import_grid(write(tmp_path, TOY.replace("new load.m1", f"{switch}new load.m1")))
     network = imported.network
     remarks = {remark.text.split(":")[0]: remark.what for remark in imported.remarks}
     assert remarks == {
         "energymeter (1)": "left out",
         "line.tie, line.spare": "note",
         "line.nowhere": "left out",
+        "line.switch": "changed",
         "generator.g, pvsystem.pv": "changed",
         "load.m5": "changed",
         "load.m8": "changed",
@@ -147,6 +149,14 @@ def test_what_was_changed_is_said_and_profiles_stand_beside(tmp_path: Path) -> N
     assert branches["line.spare"].primitive.y[0, 0] == pytest.approx(
         -branches["line.spare"].primitive.y[0, 1], rel=1e-6
     )
+    assert branches["line.tie"].primitive.y[0, 0] == pytest.approx(-branches["line.tie"].primitive.y[0, 2], rel=1e-6)
+    assert [name for name, branch in branches.items() if branch.switch] == ["line.tie", "line.spare", "line.switch"]
+    assert branches["line.switch"].r > 1e-4 * network.median_impedance
+    _, summary = write_imported(tmp_path / "cut", imported, ["line.switch"])
+    assert "line.switch" in summary
+    assert 'switches = ["652-653"]' in (tmp_path / "cut" / "scenario.toml").read_text()
+    _ = write_imported(tmp_path / "areas", imported, 2)
+    assert 'areas = { count = 2, ties = ["645-633", "633-645"] }' in (tmp_path / "areas" / "scenario.toml").read_text()
     assert branches["line.main"].i_max * base_current(network.base_mva, 4.16) == pytest.approx(600)
     produced = [load for load in network.loads if load.s.real < 0]
     assert sum(load.s.real for load in produced) * network.node_mva == pytest.approx(-0.09 - 0.032, abs=1e-6)
@@ -474,7 +484,7 @@ def fix_taps(**steps: int) -> tuple[str, ...]:
 NO_CONTROL = "set controlmode=off"
 STIFF = "edit vsource.source mvasc3=200000 mvasc1=200000"  # as the other 4-bus feeders; the file has 1e6
 STORED = {
-    "ieee13": ("13Bus/IEEE13Nodeckt.dss", fix_taps(reg1=10, reg2=8, reg3=11)),
+    "ieee13": ("13Bus/IEEE13Nodeckt.dss", (*fix_taps(reg1=10, reg2=8, reg3=11), "edit line.671692 switch=no")),
     "ieee34": ("34Bus/ieee34Mod1.dss", ()),
     "ieee37": ("37Bus/ieee37.dss", ()),
     **{f"4bus-{name.lower()}": (f"4Bus-{name}-Bal/4Bus-{name}-Bal.DSS", ()) for name in ("DY", "YD", "GrdYD", "YY")},
