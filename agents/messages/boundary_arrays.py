@@ -8,11 +8,14 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping, Sequence
+from typing import Annotated
 
 import numpy as np
 
+from agents.messages.checks import Number
 from dsse_core.grid.boundary import Boundary
 
+OfRound = Annotated[tuple[Number, ...], "in a message an exact 0 is an integer, of one byte"]
 Lengths = Mapping[str, tuple[int, Sequence[int]]]
 """Field of a message -> how many numbers it has, and how many it may have."""
 

@@ -20,6 +20,7 @@ import msgpack
 import msgspec
 import numpy as np
 
+from agents.messages.boundary_arrays import OfRound
 from agents.messages.checks import BusId, Count, Integer, MessageError, Name, Number, Numbers, PerPhase, shown
 from agents.messages.totals_list import WireSplit, WireTotals, list_split, list_totals, read_split, read_totals
 from agents.messages.types import (
@@ -133,6 +134,7 @@ _PACK: Mapping[Any, Callable[[Any], Any]] = {
     SplitIdentity: list_split,
     dict: lambda m: list(m.items()),
     PerPhase: lambda numbers: numbers[0] if len(numbers) == 1 else numbers,
+    OfRound: lambda numbers: [number or 0 for number in numbers],
 }
 _READ: Mapping[Any, Callable[[Any], Any]] = {
     Header: _read_header,
@@ -141,6 +143,7 @@ _READ: Mapping[Any, Callable[[Any], Any]] = {
     SplitIdentity: read_split,
     dict: _read_map,
     PerPhase: lambda found: found if isinstance(found, tuple) else (found,),
+    OfRound: lambda found: found,
 }
 
 

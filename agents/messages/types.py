@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
-from agents.messages.boundary_arrays import Lengths, count_triangle, find_wrong_length
+from agents.messages.boundary_arrays import Lengths, OfRound, count_triangle, find_wrong_length
 from agents.messages.checks import BusId, Count, Integer, MessageError, Name, Names, Notes, Number, Numbers, PerPhase
 from dsse_core.estimation.decision import Totals
 from dsse_core.exchange.boundary_load import Loads, NetLoad
@@ -192,10 +192,10 @@ class RoundMessage(PlaceMessage):
     boundary, 0 where it is fed on the sender's side, else the number of its piece there.
     """
 
-    R: Numbers
-    z: Numbers
-    no_load: Numbers
-    power: Numbers
+    R: OfRound
+    z: OfRound
+    no_load: OfRound
+    power: OfRound
     totals: Totals
     pieces: tuple[Count, ...] = field(default=(), kw_only=True, metadata=LAST)
 
