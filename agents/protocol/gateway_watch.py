@@ -30,23 +30,27 @@ class GatewayWatch:
         area: Area,
         readings: Readings,
         known: tuple[np.ndarray, Mapping[str, BoundaryInformation]] | None,
+        *,
+        is_fed: bool = True,
     ) -> None:
-        """Counts the evidence of ``scan`` once; ``area``: with its switches as in that scan.
+        """Counts the evidence of ``scan`` once; ``area``: with its switches as in that scan. Evidence by other statuses
+        of switches counts no more, and none counts unless all of the area ``is_fed``: without supply powers are noise.
 
         ``known``: state of the area and information of its neighbours. A gateway counts again when all its powers have
         been measured again: evidence of one reading counts once.
         """
+        if area is not self._area:
+            self._area, self._test = area, GatewayTest(area)
+            self._sums, self._times, self.mistaken = {}, {}, {}
         if scan == self._scan:
             return
         self._scan = scan
-        if area is not self._area:
-            self._area, self._test = area, GatewayTest(area)
         powers = {m.meter.id for m in readings.measurements if m.meter.kind.of_power}
         for gateway in self._sums.keys() - readings.senders.keys():
             del self._sums[gateway], self._times[gateway]
         for gateway, meters in readings.senders.items():
             times = {meter: readings.ages.times[meter] for meter in meters if meter in powers}
-            if times and not times.items() & self._times.get(gateway, {}).items():
+            if is_fed and times and not times.items() & self._times.get(gateway, {}).items():
                 self._times[gateway] = times
                 self._count(gateway, readings, times, known)
         likeliest = {gateway: max(sums, key=sums.__getitem__) for gateway, sums in self._sums.items()}

@@ -207,8 +207,10 @@ class AreaEstimation:
 
     @property
     def dead_voltmeters(self) -> tuple[str, ...]:
-        """Ids of the voltmeters that are left out because no grid works at the voltage that they read."""
-        voltmeters = [m for m in self._readings if m.meter.kind is MeasurementKind.VM]
+        """Ids of the voltmeters that are left out because no grid works at the voltage that they read, where there is
+        supply.
+        """
+        voltmeters = [m for m in self._readings if m.meter.kind is MeasurementKind.VM and not self._is_dead(m.meter)]
         rows = find_dead([m.meter for m in voltmeters], [m.value for m in voltmeters])
         return tuple(voltmeters[k].meter.id for k in rows)
 

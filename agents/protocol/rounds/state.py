@@ -104,7 +104,8 @@ class RoundsState:
             if not self._scan.stale:
                 has_end = self._estimate is not None and not outcome.verdict.reason
                 known = self._round.estimation.before_removal if has_end else None  # no success, no evidence
-                self._gateways.weigh(term[0], self._round.estimation.area, self._scan.readings, known)
+                estimation, readings = self._round.estimation, self._scan.readings
+                self._gateways.weigh(term[0], estimation.area, readings, known, is_fed=not estimation.dead.any())
         elif not is_heartbeat and self._is_first_way_through(term):
             return None
         is_end = self._outcome is not None and self._outcome is self._round.outcome

@@ -131,6 +131,7 @@ def assert_equals_fed_centre(bus: SimulatedBus, scenario: Scenario, telemetry: T
         for dead in scenario.network.find_unreached_buses(scenario.network.slack.bus):
             if dead in at:
                 assert bus.states[area.name].vm[at[dead]] == bus.states[area.name].sigma_vm[at[dead]] == 0.0
+                assert f"vm@{dead}" not in bus.states[area.name].removed
 
 
 DARK = [(3, {"28-29": False}), (5, {"7-8": False}), (8, {"7-8": False, "28-29": False}), (5, {"2-3": False})]
