@@ -95,13 +95,13 @@ def read_meters(scenario: Scenario, scan: int = 1, closed: Mapping[str, bool] = 
     if scenario.telemetry.source == "file":
         values, sigmas = _real_readings(scenario)
     else:
-        truth = _solve_with_supply(scenario.network.operated(closed))
+        truth = solve_with_supply(scenario.network.operated(closed))
         if scenario.telemetry.source == "area-power-flow":
             area_power_flows = _solve_area_power_flows(scenario)
             by_meter = {m: s for part in _read_by_area(scenario, area_power_flows) for m, *s in zip(*part, strict=True)}
             exact, size = np.array([by_meter[m] for m in scenario.meters], dtype=float).reshape(-1, 2).T
         else:
-            exact, size = _read_in_service(truth, scenario.meters)
+            exact, size = read_in_service(truth, scenario.meters)
         values, sigmas = _read(scenario, scan, exact, size)
     missing = []
     if scenario.faults.telemetry.missing > 0:
@@ -109,7 +109,7 @@ def read_meters(scenario: Scenario, scan: int = 1, closed: Mapping[str, bool] = 
     return Scan(values, sigmas, missing, truth, area_power_flows)
 
 
-def _solve_with_supply(network: Network) -> PowerFlowResult:
+def solve_with_supply(network: Network) -> PowerFlowResult:
     """The power flow of the part of ``network`` that has supply; 0 elsewhere."""
     fed, _ = take_fed(network, ())
     flow = solve_power_flow(fed)
@@ -121,7 +121,7 @@ def _solve_with_supply(network: Network) -> PowerFlowResult:
     return replace(flow, network=network, vm=vm, va=va, injection=injection)
 
 
-def _read_in_service(truth: PowerFlowResult, meters: Sequence[Meter]) -> tuple[np.ndarray, np.ndarray]:
+def read_in_service(truth: PowerFlowResult, meters: Sequence[Meter]) -> tuple[np.ndarray, np.ndarray]:
     """Readings and sizes of ``read_exactly``, 0 at open branches; the size of a voltage is 1 p.u. without supply."""
     rows = find_meters_in_service(truth.network, meters)
     if rows is None:

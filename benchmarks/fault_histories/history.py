@@ -2,15 +2,18 @@
 
 Its areas publish states all the while. Counted are the states marked good, and those of them that lie beyond three of
 their own standard deviations of the estimate with fresh information: the centralised one of the same scan's readings.
-Measured is the distance of the states from it in the end.
+Measured is the distance of the states from it in the end. Where switches are operated between scans, a good state must
+lie near the estimate of one combination of statuses, and in the end of the true one.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import cast
 
 import numpy as np
 
@@ -18,18 +21,24 @@ from agents.area_files.area_file import stamp_split
 from agents.messages.packing import StateMessage
 from agents.protocol.configuration import Configuration
 from agents.protocol.quality import GOOD
+from benchmarks.fault_histories.switching import RTU, draw_orders, draw_statuses, draw_switches
+from coordinator.lab.evaluation.comparison import Voltages
 from coordinator.lab.simulator.simulator import SimulatedBus
+from dsse_core.errors import DsseError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Network
 from dsse_core.grid.nodes import list_phases
 from dsse_core.grid.partition import Partition
+from dsse_core.grid.switches import take_fed
 from dsse_core.link_faults import LinkFaults, Window
-from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
+from dsse_core.power_flow.newton_raphson import PowerFlowResult
+from dsse_core.reading_rules import DEFAULT_RULES
 from scenarios.files.network_file import load_case
 from scenarios.generate.cutting import cut_into
 from scenarios.generate.feeder import generate_feeder
+from scenarios.telemetry import read_in_service, solve_with_supply
 
 Link = tuple[str, str]
 KIND = MeasurementKind
@@ -40,6 +49,7 @@ HEARTBEAT_S = 0.2
 FAULTS_S = 2.4  # time with faults
 PATIENCE_S = 60.0  # afterwards
 SCANS = 3
+SWITCHING = "switching"
 AREAS = {"ieee13": (3, 6), "ieee123": (6, 10)}  # fewest and most, of a feeder with phases
 
 
@@ -71,6 +81,25 @@ class World:
     partition: Partition
     telemetry: tuple[dict[str, list[Measurement]], ...]
     central: tuple[BadDataReport, ...]
+    closed: tuple[Mapping[str, bool], ...] = ()  # of every scan the true statuses of switches
+    _others: dict[tuple[object, ...], Voltages | None] = field(default_factory=dict, repr=False)
+
+    def find_centres(self, scan: int) -> Iterator[Voltages]:
+        """The centralised voltages of ``scan``, by the true statuses of switches first, then by all others."""
+        yield _spread(self.network, self.central[scan - 1])
+        for statuses in itertools.product((False, True), repeat=len(self.network.switches)):
+            key = (scan, statuses)
+            if key not in self._others:
+                operated = self.network.operated(dict(zip(self.network.switches, statuses, strict=True)))
+                readings = [m for part in self.telemetry[scan - 1].values() for m in part]
+                try:
+                    report = process_bad_data(*take_fed(operated, readings), tolerance=1e-11)
+                except DsseError:
+                    self._others[key] = None
+                else:
+                    self._others[key] = _spread(self.network, report)
+            if (centre := self._others[key]) is not None:
+                yield centre
 
     def files(
         self,
@@ -94,16 +123,19 @@ class World:
                 beat_s=heartbeat_s,
                 links={n.area: links[area.name, n.area] for n in area.neighbours},
                 seed=seed,
+                readings=replace(DEFAULT_RULES, gateways={**DEFAULT_RULES.gateways, RTU: "all"}),
             )
             for area in self.partition.areas
         ]
         return stamp_split(files, time=0.0)
 
 
-def run_history(seed: int, *, feeder: str = "") -> HistoryOutcome:
-    """Draw and run one history. ``feeder``: a shipped one with phases; empty for a random balanced one."""
+def run_history(seed: int, kind: str = "") -> HistoryOutcome:
+    """Draw and run one history. ``kind``: a shipped feeder with phases; empty for a random balanced one, ``SWITCHING``
+    for one with ties, in which switches are operated between scans.
+    """
     rng = np.random.default_rng(seed)
-    world = draw_unbalanced_world(rng, feeder) if feeder else draw_world(rng)
+    world = draw_unbalanced_world(rng, kind) if kind in AREAS else draw_world(rng, switching=kind == SWITCHING)
     severity = float(rng.random())  # share of the possible faults that happen
     shown: list[StateMessage] = []
     links = [(area.name, n.area) for area in world.partition.areas for n in area.neighbours]
@@ -113,7 +145,11 @@ def run_history(seed: int, *, feeder: str = "") -> HistoryOutcome:
         cut = cuts.get(frozenset(link))
         drawn[link] = _draw_link(rng, severity, (cut,) if cut else ())
     bus = SimulatedBus(world.files(drawn, seed), world.telemetry[0], lambda at, state: shown.append(state))
-    _draw_events(rng, severity, bus, world)
+    times, restart = list[float](), cast(Callable[[str], None], bus.start)
+    if world.closed:
+        times = _draw_times(rng)
+        restart = draw_orders(rng, severity, bus, world.closed, times).restart
+    _draw_events(rng, severity, bus, world, times, restart)
     bus.run(FAULTS_S)
     settled_s = _wait_for_peace(bus, world)
     good = _evaluate(world, shown)
@@ -130,11 +166,11 @@ def run_history(seed: int, *, feeder: str = "") -> HistoryOutcome:
     )
 
 
-def draw_world(rng: np.random.Generator) -> World:
-    """3 to 6 areas of 3 to 8 buses."""
+def draw_world(rng: np.random.Generator, *, switching: bool = False) -> World:
+    """3 to 6 areas of 3 to 8 buses; ``switching``: with up to 3 open ties, and 1 or 2 of its branches may be opened."""
     n_area = int(rng.choice([3, 4, 5, 6], p=[0.5, 0.25, 0.15, 0.1]))
     network, _ = generate_feeder(n_area * int(rng.integers(3, 9)), rng, lowest_vm=float(rng.uniform(0.92, 0.98)))
-    return _read_world(rng, network, n_area)
+    return _read_world(rng, draw_switches(rng, network) if switching else network, n_area)
 
 
 def draw_unbalanced_world(rng: np.random.Generator, name: str) -> World:
@@ -148,22 +184,37 @@ def _read_world(rng: np.random.Generator, network: Network, n_area: int) -> Worl
 
     Readings of voltages and flows are missing now and then. Injections and one voltmeter are always read.
     """
-    partition = build_partition(network, cut_into(network, n_area))
+    ties = {branch.id: "" for branch in network.branches if not branch.in_service}
+    partition = build_partition(network, cut_into(network, n_area), holders=ties)
     meters = draw_meters(rng, network)
+    closed: Mapping[str, bool] = network.switches
+    of_scans: list[Mapping[str, bool]] = []
     missing = float(rng.choice([0.0, 0.0, 0.05]))
     voltmeter = next(m for m in meters if m.kind is MeasurementKind.VM)  # without any there is no estimate
     telemetry, central = [], []
     for _ in range(SCANS):
-        flow = solve_power_flow(_with_other_loads(rng, network))
+        loaded = _with_other_loads(rng, network)
+        if of_scans and closed:
+            closed = draw_statuses(rng, loaded, closed)
+        of_scans.append(closed)
+        flow = solve_with_supply(loaded.operated(closed))
         lasting = [m.source is Source.VIRTUAL or m.kind.of_injection for m in meters]
         spared = [lasts or rng.random() >= missing or m == voltmeter for m, lasts in zip(meters, lasting, strict=True)]
         kept = [m for m, stays in zip(read_meters(rng, meters, flow), spared, strict=True) if stays]
-        central.append(process_bad_data(network, kept, tolerance=1e-11))
+        central.append(process_bad_data(*take_fed(network.operated(closed), kept), tolerance=1e-11))
         by_area: dict[str, list[Measurement]] = {area.name: [] for area in partition.areas}
         for measurement in kept:
             by_area[partition.area_of_meter(measurement.meter)].append(measurement)
         telemetry.append(by_area)
-    return World(network, partition, tuple(telemetry), tuple(central))
+    return World(network, partition, tuple(telemetry), tuple(central), tuple(of_scans) if closed else ())
+
+
+def _spread(network: Network, report: BadDataReport) -> Voltages:
+    """The voltages of all nodes, 0 where the estimate leaves them out as they have no supply."""
+    result, vm, va = report.result, np.zeros(network.n_nodes), np.zeros(network.n_nodes)
+    rows = [network.node(*node) for node in result.network.nodes]
+    vm[rows], va[rows] = result.vm, result.va
+    return Voltages(vm, va)
 
 
 def find_gap(bus: SimulatedBus, world: World) -> float:
@@ -176,7 +227,7 @@ def find_gap(bus: SimulatedBus, world: World) -> float:
         state = bus.states.get(name)
         if state is None or not state.buses or state.header.scan != SCANS:
             return math.inf
-        dvm, dva = _distance(world, state)
+        dvm, dva = _distance(world, state, next(world.find_centres(SCANS)))
         gap = max(gap, float(dvm.max()), float(dva.max()))
     return gap
 
@@ -197,14 +248,23 @@ def _evaluate(world: World, shown: list[StateMessage]) -> list[float]:
 
 
 def _sigmas_off(world: World, state: StateMessage) -> float:
-    dvm, dva = _distance(world, state)
+    """The distance from the nearest estimate of one combination of statuses; those after one near enough are left."""
+    least = math.inf
+    for centre in world.find_centres(state.header.scan):
+        least = min(least, _sigmas_off_one(world, state, centre))
+        if least <= MOST_SIGMAS:
+            break
+    return least
+
+
+def _sigmas_off_one(world: World, state: StateMessage, centre: Voltages) -> float:
+    dvm, dva = _distance(world, state, centre)
     vm = np.maximum(dvm - ROUNDING, 0.0) / np.maximum(state.sigma_vm, 1e-12)
     va = np.maximum(dva - ROUNDING, 0.0) / np.maximum(state.sigma_va, 1e-12)
     return float(max(vm.max(), va.max()))
 
 
-def _distance(world: World, state: StateMessage) -> tuple[np.ndarray, np.ndarray]:
-    central = world.central[state.header.scan - 1].result
+def _distance(world: World, state: StateMessage, central: Voltages) -> tuple[np.ndarray, np.ndarray]:
     rows = [world.network.node(*node) for node in state.nodes]
     turned = np.array(state.va) - central.va[rows]
     return abs(np.array(state.vm) - central.vm[rows]), abs((turned + np.pi) % (2 * np.pi) - np.pi)
@@ -251,7 +311,7 @@ def _with_other_loads(rng: np.random.Generator, network: Network) -> Network:
 def read_meters(rng: np.random.Generator, meters: Sequence[Meter], flow: PowerFlowResult) -> list[Measurement]:
     """Readings with sigmas of 0.2 % (voltages), 1 % (flows) and 10 % (injections)."""
     readings = []
-    for meter, value in zip(meters, flow.read_all(meters).tolist(), strict=True):
+    for meter, value in zip(meters, read_in_service(flow, meters)[0].tolist(), strict=True):
         sigma = 0.002 if meter.kind is KIND.VM else (0.01 if meter.branch else 0.1) * (abs(value) + 0.001)
         if meter.source is Source.VIRTUAL:
             readings.append(Measurement(meter, 0.0, 0.0))
@@ -288,14 +348,27 @@ def _draw_cuts(rng: np.random.Generator, severity: float, links: Sequence[Link])
     return {pair: _draw_window(rng, 1.5) for pair in pairs if rng.random() < 0.3 * severity}
 
 
-def _draw_events(rng: np.random.Generator, severity: float, bus: SimulatedBus, world: World) -> None:
-    """Kills and restarts, pauses, a silent plant, and new scans, late for some areas."""
+def _draw_times(rng: np.random.Generator) -> list[float]:
+    """The times of new scans."""
+    times: list[float] = sorted(rng.uniform(0.5, FAULTS_S, SCANS - 1).tolist())
+    return times
+
+
+def _draw_events(
+    rng: np.random.Generator,
+    severity: float,
+    bus: SimulatedBus,
+    world: World,
+    times: Sequence[float],
+    restart: Callable[[str], None],
+) -> None:
+    """Kills and restarts, pauses, a silent plant, and new scans at ``times``, if given, late for some areas."""
     names = list(bus.files)
     for name in names:
         fate, (start, end) = rng.random(), _draw_window(rng, 1.0)
         if fate < 0.25 * severity:
             bus.at(start, partial(bus.kill, name))
-            bus.at(end, partial(bus.start, name))
+            bus.at(end, partial(restart, name))
         elif fate < 0.4 * severity:
             bus.at(start, partial(bus.pause, name))
             bus.at(end, partial(bus.resume, name))
@@ -303,6 +376,6 @@ def _draw_events(rng: np.random.Generator, severity: float, bus: SimulatedBus, w
         start, end = _draw_window(rng, 1.0)
         bus.at(start, partial(setattr, bus, "plant_publishes", False))
         bus.at(end, partial(setattr, bus, "plant_publishes", True))
-    for telemetry, at in zip(world.telemetry[1:], sorted(rng.uniform(0.5, FAULTS_S, SCANS - 1)), strict=True):
+    for telemetry, at in zip(world.telemetry[1:], times or _draw_times(rng), strict=True):
         late_s = {name: float(rng.uniform(0.0, 0.5)) for name in names if rng.random() < 0.2 * severity}
-        bus.at(float(at), partial(bus.next_scan, telemetry, late_s))
+        bus.at(at, partial(bus.next_scan, telemetry, late_s))

@@ -11,9 +11,9 @@ import pytest
 from click.testing import CliRunner
 
 from benchmarks.fault_histories import command as fault_histories
-from benchmarks.fault_histories.history import GAP, HistoryOutcome, run_history
+from benchmarks.fault_histories.history import GAP, SWITCHING, HistoryOutcome, run_history
 from tests.support.back_ends import back_end
-from tests.support.levels import many_more
+from tests.support.levels import further, many_more
 
 
 @pytest.mark.random_cases(few=3, long=6, many=1000)
@@ -28,11 +28,19 @@ def test_after_any_history_of_faults_the_areas_are_good_and_at_the_centralised_e
 @pytest.mark.parametrize("feeder", ["ieee13", *many_more("ieee123")])
 @pytest.mark.random_cases(few=1, long=4, many=100)
 def test_so_they_are_where_buses_have_phases(random_seed: int, feeder: str):
-    outcome = run_history(random_seed, feeder=feeder)
+    outcome = run_history(random_seed, feeder)
     assert outcome.gap <= GAP
     assert not math.isnan(outcome.settled_s)
     assert outcome.good >= outcome.areas
     assert outcome.wrong == 0
+
+
+@pytest.mark.parametrize("seed", [*further(3, 10), *many_more(*range(100, 600))])
+def test_so_they_are_where_switches_are_operated(seed: int):
+    outcome = run_history(seed, SWITCHING)
+    assert outcome.gap <= GAP
+    assert not math.isnan(outcome.settled_s)
+    assert outcome.wrong <= 0.003 * outcome.good
 
 
 def test_a_history_repeats_to_the_bit():
@@ -49,7 +57,7 @@ def test_the_command_goes_on_where_its_table_ends_and_sums_up(tmp_path: Path, mo
     with table.open("w", newline="") as file:
         csv.writer(file).writerows([fault_histories.COLUMNS, astuple(an_outcome(0, wrong=1)), (1, 3, 12)])
     ran = []
-    monkeypatch.setattr(fault_histories, "run_history", lambda seed, feeder: ran.append(seed) or an_outcome(seed))
+    monkeypatch.setattr(fault_histories, "run_history", lambda seed, kind: ran.append(seed) or an_outcome(seed))
     done = CliRunner().invoke(fault_histories.main, ["--count", "4", "--jobs", "1", "--out", str(table)])
     assert done.exit_code == 0, done.output
     assert ran == [1, 2, 3]
