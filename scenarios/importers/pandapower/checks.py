@@ -40,6 +40,9 @@ COLUMNS = {
     name: {"bus": PLACE} | dict.fromkeys(("p_mw", "q_mvar", "scaling"), NUMBER) for name in ("load", "sgen", "storage")
 }
 """Element table -> the columns that the conversion uses, and what stands there."""
+ASYMMETRIC = ("asymmetric_load", "asymmetric_sgen")
+BY_PHASE = {f"{part}_{phase}_{unit}": NUMBER for phase in "abc" for part, unit in (("p", "mw"), ("q", "mvar"))}
+COLUMNS |= {name: {"bus": PLACE, "type": ANYTHING, "scaling": NUMBER} | BY_PHASE for name in ASYMMETRIC}
 BRANCHES = ("line", "trafo", "impedance")
 """Tables whose numbers are checked only in service; pandapower multiplies those of other tables by 0 instead."""
 ALL_COLUMNS = {name: columns | {"in_service": FLAG} for name, columns in COLUMNS.items()} | {

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.files.bounded_parsing import parse_json
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.printable import listed, on_one_line
 from scenarios.files.network_columns import default_branch_id
@@ -23,20 +22,19 @@ from scenarios.importers.imported import (
     Imported,
     Remark,
     add_shunts,
-    current_rating,
     fused_remarks,
     load_extra,
     loop_shunt,
     open_end_shunt,
-    rating,
 )
 from scenarios.importers.matpower.program import BASE_KV, BR_R, BR_X, PD, QD
 from scenarios.importers.matpower.reader import BR_B, BS, BUS_I, F_BUS, GS, SHIFT, T_BUS, TAP
 from scenarios.importers.pandapower.checks import find_broken, find_constant_currents, find_unread, find_unsupported
+from scenarios.importers.pandapower.elements import describe_element, find_left_out, name_rows, read_place
 from scenarios.importers.pandapower.measurements import Conversion, find_metered_branches, read_measurements
 from scenarios.importers.pandapower.objects import write_anew
+from scenarios.importers.pandapower.phases import has_phases, read_three_phases
 
-BRANCHES = ("line", "trafo", "impedance", "switch")
 COUNTED = ("line", "trafo", "impedance", "load", "gen", "shunt", "ward", "motor", "storage")
 
 
@@ -54,6 +52,8 @@ def read_pandapower(path: Path, tree: Any) -> Imported:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         net = _read_net(pandapower, path, text)
+        if has_phases(net):
+            return read_three_phases(path, _name_of(net) or path.stem, net)
         sgen = net.sgen.copy()  # sources here, negative loads in pandapower's matrices, clipped to limits there
         net.sgen["in_service"] = False
         ppc = _to_ppc(path, net)
@@ -114,24 +114,18 @@ def _name_of(net: Any) -> str:
 
 def _convert(name: str, net: Any, sgen: Any, ppc: dict[str, Any]) -> tuple[Conversion, list[Remark]]:
     base = float(ppc["baseMVA"])
-    row_of = net._pd2ppc_lookups["bus"]
-    row_of_bus = {int(bus): int(row_of[bus]) for bus in net.bus.index if 0 <= row_of[bus] < len(ppc["bus"])}
-    id_of_row: dict[int, int] = {}
-    for bus, row in sorted(row_of_bus.items()):
-        id_of_row.setdefault(row, bus)
-    bus_of = {bus: id_of_row[row] for bus, row in row_of_bus.items()}
-    auxiliary = {row: int(net.bus.index.max()) + 1 + row for row in range(len(ppc["bus"])) if row not in id_of_row}
-    ids = id_of_row | auxiliary
+    bus_of, ids = name_rows(net, ppc)
+    auxiliary = set(ids.values()) - set(bus_of.values())
     buses = [_build_bus(net, row, ids[int(row[BUS_I].real)], base) for row in ppc["bus"]]
     all_branches = _build_branches(net, ppc, ids)
     metered = find_metered_branches(net)
     unloaded = {
         element: end
         for element, branch in all_branches.items()
-        for end in {branch.from_bus, branch.to_bus}.intersection(auxiliary.values())
+        for end in {branch.from_bus, branch.to_bus}.intersection(auxiliary)
         if element in metered
     }
-    folded = set(auxiliary.values()) - set(unloaded.values())
+    folded = auxiliary - set(unloaded.values())
     buses, open_ends, loops = _fold_into_shunts(buses, all_branches, folded)
     branches = {element: branch for element, branch in all_branches.items() if element not in {*open_ends, *loops}}
     network = Network(
@@ -141,7 +135,7 @@ def _convert(name: str, net: Any, sgen: Any, ppc: dict[str, Any]) -> tuple[Conve
         branches=tuple(branches.values()),
         generators=tuple(_build_generators(net, sgen, bus_of, base)),
     )
-    remarks = [*fused_remarks(bus_of, "closed switches"), *_find_left_out(net, bus_of, all_branches.keys())]
+    remarks = [*fused_remarks(bus_of, "closed switches"), *find_left_out(net, bus_of, all_branches.keys())]
     if open_ends:
         remarks.append(Remark("changed", f"{_named(open_ends)}: open at one end, written as the shunt that it is"))
     for element, end in unloaded.items():
@@ -164,7 +158,7 @@ def _convert(name: str, net: Any, sgen: Any, ppc: dict[str, Any]) -> tuple[Conve
 
 def _build_bus(net: Any, row: Any, bus_id: int, base: float) -> Bus:
     name = net.bus.name.get(bus_id)
-    x, y = _read_place(net.bus.geo.get(bus_id)) if "geo" in net.bus else (None, None)
+    x, y = read_place(net, bus_id)
     return Bus(
         id=bus_id,
         base_kv=float(row[BASE_KV].real),
@@ -176,16 +170,6 @@ def _build_bus(net: Any, row: Any, bus_id: int, base: float) -> Bus:
         x=x,
         y=y,
     )
-
-
-def _read_place(geo: object) -> tuple[float, float] | tuple[None, None]:
-    """The place of a bus from its GeoJSON point; None where it has none."""
-    try:
-        x, y = parse_json(str(geo))["coordinates"][:2]
-        place = float(x), float(y)
-    except (ValueError, TypeError, KeyError):
-        return None, None
-    return place if all(map(math.isfinite, place)) else (None, None)
 
 
 def _with_impedance_loads(what: str, conversion: Conversion) -> Network:
@@ -260,23 +244,9 @@ def _build_branches(net: Any, ppc: dict[str, Any], ids: dict[int, int]) -> dict[
             tap=float(row[TAP].real) or 1.0,
             shift=math.radians(float(row[SHIFT].real)),
             g=float(g.real),
-            **_described(net, *element, base),
+            **describe_element(net, *element, base),
         )
     return branches
-
-
-def _described(net: Any, name: str, index: int, base: float) -> dict[str, Any]:
-    """Name and rating of an element, as arguments of ``Branch``; of parallel ones the rating of all together."""
-    element = net[name].loc[index]
-    called = element.get("name")
-    described: dict[str, Any] = {"name": called if isinstance(called, str) else ""}
-    many = element.get("parallel", 1) * element.get("df", 1.0)
-    if name == "line":
-        from_kv, to_kv = (float(net.bus.vn_kv.at[element[end]]) for end in ("from_bus", "to_bus"))
-        described |= current_rating(float(element.get("max_i_ka", math.nan)) * many, from_kv, to_kv, base)
-    elif name == "trafo":
-        described["s_max"] = rating(float(element.sn_mva) * many, base)
-    return described
 
 
 def _elements_of_rows(net: Any, ppc: dict[str, Any]) -> list[tuple[str, int]]:
@@ -305,18 +275,6 @@ def _fold_into_shunts(
         shunts.setdefault(branch.from_bus, []).append(loop_shunt(branch))
     kept = [add_shunts(bus, shunts[bus.id]) if bus.id in shunts else bus for bus in buses if bus.id not in auxiliary]
     return kept, open_ends, loops
-
-
-def _find_left_out(net: Any, bus_of: dict[int, int], converted: Collection[tuple[str, int]]) -> Iterator[Remark]:
-    """Buses without supply with what stands there, and branches that are out of service."""
-    dark = [int(bus) for bus in net.bus.index if bus not in bus_of]
-    if dark:
-        load = net.load[net.load.in_service & net.load.bus.isin(dark)]
-        p_mw = float((load.p_mw * load.scaling).sum())
-        yield Remark("left out", f"bus {listed(dark)} with {p_mw:g} MW of load: out of service or unsupplied")
-    for name in BRANCHES[:-1]:
-        if missing := [int(i) for i in net[name].index if (name, int(i)) not in converted]:
-            yield Remark("left out", f"{name} {listed(missing)}: out of service, open at both ends or unsupplied")
 
 
 def _named(elements: Collection[tuple[str, int]]) -> str:

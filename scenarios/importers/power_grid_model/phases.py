@@ -14,12 +14,9 @@ from dsse_core.grid.nodes import Primitive
 from dsse_core.grid.primitives import build_line
 from scenarios.importers.power_grid_model.branches import PiModel, find_rated_voltages
 from scenarios.importers.power_grid_model.data import APPLIANCES, ASYMMETRIC, Data, rows
+from scenarios.importers.sequences import ABC, join_sequences, spread
 
-ABC = "abc"
 BASE_VA = 1e6
-TURN = cmath.exp(2j * math.pi / 3)
-OF_SEQUENCES = np.array([[1, 1, 1], [1, TURN**2, TURN], [1, TURN, TURN**2]])
-"""Phases of the zero, positive and negative sequence."""
 GROUNDED_WYE, DELTA, GROUNDED_ZIGZAG = 1, 2, 4
 ZIGZAG = 0.1  # share of the positive sequence impedance that a zigzag winding has to the zero sequence
 LOW_SUSCEPTANCE = -1e-8j  # share of the rated admittance that power-grid-model adds where a zero sequence has no path
@@ -41,14 +38,7 @@ def build_three_phases(name: str, component: Any, pi: PiModel, kv: tuple[float, 
         _build_two_port(y1, shunt, ratio),
         _build_two_port(y1, shunt, ratio.conjugate()),
     ]
-    blocks = np.einsum("is,smn,sj->minj", OF_SEQUENCES, np.array(sequences), np.linalg.inv(OF_SEQUENCES))
-    Y = blocks.reshape(6, 6)
-    return Primitive(ABC, ABC, (Y + Y.T) / 2, np.zeros((6, 6)))
-
-
-def spread(positive: complex, zero: complex) -> np.ndarray:
-    """The matrix between phases of a positive and negative, and a zero sequence, (3, 3)."""
-    return positive * np.eye(3) + (zero - positive) / 3
+    return Primitive(ABC, ABC, join_sequences(np.array(sequences)), np.zeros((6, 6)))
 
 
 def _build_two_port(y: complex, shunt: complex, ratio: complex) -> np.ndarray:

@@ -48,8 +48,9 @@ from scenarios.importers.power_grid_model.data import (
     rows,
     working_sources,
 )
-from scenarios.importers.power_grid_model.phases import ABC, build_three_phases, list_legs, spread
+from scenarios.importers.power_grid_model.phases import build_three_phases, list_legs
 from scenarios.importers.power_grid_model.sensors import Conversion, find_metered_branches, read_sensors
+from scenarios.importers.sequences import ABC, spread
 
 BASE_VA = 1e6
 IN_PARALLEL = "links join its two ends, it carries nothing; its own consumption stays as a shunt"
