@@ -155,7 +155,7 @@ class AreaEstimation:
     def _is_dead(self, meter: Meter) -> bool:
         """True where a meter reads a node without supply."""
         network = self.area.network
-        if network.table.nodes.is_balanced or not meter.phases:
+        if not meter.phases:
             return bool(self.dead[network.nodes_at(meter.bus)].any())
         return any(self.dead[network.node(meter.bus, phase)] for phase in list_phases(meter.phases))
 

@@ -25,7 +25,7 @@ from dsse_core.grid.message_tree import (
     walk_areas,
 )
 from dsse_core.grid.network import Bus, Control, Generator, Network
-from dsse_core.grid.nodes import BALANCED, read_phases, write_phases
+from dsse_core.grid.nodes import write_phases
 from dsse_core.grid.partition import Area, Neighbour, Partition
 from dsse_core.printable import listed
 
@@ -388,12 +388,9 @@ def _ends_of(network: Network, branch: int) -> tuple[int, int]:
 
 def _phases_of(network: Network, branches: np.ndarray, bus: int) -> int:
     """The set of phases that ``branches``, by rows, have at ``bus``."""
-    if network.table.nodes.is_balanced:
-        return BALANCED
-    ends = [(network.branches[row], network.table.primitives[row]) for row in branches.tolist()]
-    texts = [primitive.from_phases for branch, primitive in ends if branch.from_bus == bus]
-    texts += [primitive.to_phases for branch, primitive in ends if branch.to_bus == bus]
-    return int(np.bitwise_or.reduce(read_phases(texts)))
+    table = network.table
+    is_there = np.stack([table.from_bus[branches], table.to_bus[branches]]) == bus
+    return int(np.bitwise_or.reduce(table.branch_phases[:, branches][is_there]))
 
 
 def _split_by_owner(

@@ -431,7 +431,7 @@ def _find_problems_of_buses_and_branches(network: Network) -> Iterable[str]:
                 yield f"branch {branch.id}: i_max or s_max is {rating}; a rating is positive, or is not given"
         if branch.tap <= 0:
             yield f"branch {branch.id}: tap is {branch.tap}; it must be positive (1.0 for a line)"
-        if not 0 <= branch.tap_steps < branch.tap:
+        elif not 0 <= branch.tap_steps < branch.tap:
             yield f"branch {branch.id}: tap_steps is {branch.tap_steps}; a step is 0 or more, and less than the tap"
     yield from _find_problems_of_phases(network)
 
