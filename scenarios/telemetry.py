@@ -124,7 +124,7 @@ def solve_with_supply(network: Network) -> PowerFlowResult:
 def read_in_service(truth: PowerFlowResult, meters: Sequence[Meter]) -> tuple[np.ndarray, np.ndarray]:
     """Readings and sizes of ``read_exactly``, 0 at open branches; the size of a voltage is 1 p.u. without supply."""
     rows = find_meters_in_service(truth.network, meters)
-    if rows is None:
+    if len(rows) == len(meters):
         exact, size = read_exactly(truth, meters)
     else:
         exact, size = np.zeros(len(meters)), np.zeros(len(meters))

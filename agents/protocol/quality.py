@@ -19,6 +19,7 @@ from agents.protocol.readings import Ages, Readings
 from agents.strategies.interface import Estimate
 from dsse_core.estimation.decision import Totals
 from dsse_core.estimation.state_limits import StateLimits
+from dsse_core.estimation.switches import describe_switches
 from dsse_core.grid.measurement import Meter, Source
 from dsse_core.grid.network import Network
 from dsse_core.reading_rules import LEAST_LEAD_S
@@ -305,6 +306,16 @@ def find_unknown_statuses(unknown: Mapping[str, str]) -> Iterator[Finding]:
     for switch, told in sorted(unknown.items()):
         what = f"status of switch {switch} unknown: {told}; it stays as it was"
         yield Finding(DEGRADED, what, "status unknown", [switch])
+
+
+def find_doubtful_switches(switched: Sequence[str], gains: Mapping[str, float]) -> Iterator[Finding]:
+    """Yields findings for ``switched``: switches of any area that this scan takes the other way; and for switches of
+    this area by ``gains``, see ``weigh_switches``.
+    """
+    for note in describe_switches(switched, {}):
+        yield Finding(DEGRADED, note, "a switch counts the other way", switched)
+    for note in describe_switches((), gains):
+        yield Finding(GOOD, note, "status of switches", tuple(gains))
 
 
 def find_meters_off(meters: Sequence[str]) -> Iterator[Finding]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -11,7 +12,7 @@ import numpy as np
 from dsse_core.errors import NotObservableError
 from dsse_core.estimation.decision import Decision, IterationLostError, Memory, Totals, decide
 from dsse_core.estimation.estimator import estimate_with_plan, iterate_with_plan, plan_scan
-from dsse_core.estimation.plan import BackendChoice, EstimationPlan
+from dsse_core.estimation.plan import BackendChoice, EstimationPlan, build_estimation_plan
 from dsse_core.estimation.residuals import (
     CONFIDENCE,
     DEAD_VM,
@@ -19,14 +20,18 @@ from dsse_core.estimation.residuals import (
     MeterChecks,
     chi_square_limit,
     find_dead,
+    find_switches,
     find_taps,
 )
 from dsse_core.estimation.result import EstimationResult
+from dsse_core.estimation.switches import find_wrong_switches
 from dsse_core.estimation.taps import find_wrong_taps
 from dsse_core.gauss_newton import LAST_STEP
+from dsse_core.grid.columns import take_items
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Network
 from dsse_core.grid.nodes import list_phases
+from dsse_core.grid.switches import find_meters_in_service
 
 NO_NUMBERS = Totals(areas=1, failed=("",))  # of a grid whose iteration has no end
 
@@ -59,7 +64,9 @@ class BadDataReport:
 
     ``critical``: ids of the meters that cannot be spared, whatever they read. ``detected``: J still exceeds the
     chi-square limit. Then ``taps`` has branch -> by how many steps its tap is probably off, if no meter stands out more
-    than a tap, else ``suspect`` the largest normalised residual, if that exceeds the threshold.
+    than a tap, else ``suspect`` the largest normalised residual, if that exceeds the threshold. ``switched``: switch ->
+    root of the change of J, of those that have the other status in the estimate, as the readings contradict theirs.
+    ``gains``: see ``weigh_switches``.
     """
 
     result: EstimationResult
@@ -71,6 +78,8 @@ class BadDataReport:
     degrees_of_freedom: int
     suspect: SuspectKept | None
     taps: Mapping[str, int]
+    switched: Mapping[str, float]
+    gains: Mapping[str, float]
 
     @property
     def undecided(self) -> tuple[tuple[str, ...], ...]:
@@ -103,14 +112,15 @@ def check_meters(result: EstimationResult) -> MeterChecks:
     """Checks of the estimate's meters: normalised residuals, suspects and critical meters."""
     plan = result.plan
     of_meters = result.residual, result.residual_variance, result.sigmas, ~plan.virtual
-    return MeterChecks(plan.meters, *of_meters, lambda: plan.indispensable, lambda: _find_wrong_taps(result))
+    return MeterChecks(plan.meters, *of_meters, lambda: plan.indispensable, lambda: _find_others(result))
 
 
-def _find_wrong_taps(result: EstimationResult) -> dict[str, float]:
+def _find_others(result: EstimationResult) -> dict[str, float]:
+    """Taps and switches that stand out."""
     if not result.network.with_tap_steps:  # where the back end is radial, the sparse one is not built
-        return {}
+        return find_wrong_switches(result.gains)
     model = result.plan.sparse.model.with_values(result.values, result.sigmas)
-    return find_wrong_taps(model, np.concatenate([result.va, result.vm]), {})
+    return find_wrong_taps(model, np.concatenate([result.va, result.vm]), {}) | find_wrong_switches(result.gains)
 
 
 def find_critical(result: EstimationResult) -> tuple[str, ...]:
@@ -151,7 +161,8 @@ def process_bad_data_with_plan(
     tolerance: float = LAST_STEP,
     threshold: float = THRESHOLD,
 ) -> BadDataReport:
-    """Estimates; while J exceeds the chi-square limit, removes the largest normalised residual and repeats.
+    """Estimates; while J exceeds the chi-square limit, removes the largest normalised residual and repeats. A switch
+    whose other status explains more than any meter takes that status.
 
     The verdicts are those of ``decision.decide``, to which the whole grid is one area without neighbours. Removal ends
     when the test passes or when no normalised residual exceeds ``threshold``. Of equal residuals the first meter by id
@@ -167,21 +178,25 @@ def process_bad_data_with_plan(
     plan, values, sigmas, dead = _leave_out_dead(plan, np.asarray(values, dtype=float), np.asarray(sigmas, dtype=float))
     result = estimate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance)
     removed: list[RemovedMeasurement] = []
+    switched: dict[str, float] = {}
     while result.memory.evaluating:
         memory, verdict = decide(result.memory, _totals_of(result, threshold))
         if verdict.decision is Decision.FINAL:
             break
-        row = [meter.id for meter in result.plan.meters].index(memory.removed[-1])
+        switches = find_switches(memory.removed[-1:])
+        rows = [row for row, meter in enumerate(result.plan.meters) if meter.id == memory.removed[-1]]
         try:
-            following = _estimate_without([row], result, start, tolerance, memory)
-        except IterationLostError:
+            following = _estimate_without(rows, result, start, tolerance, memory, switches)
+        except (IterationLostError, NotObservableError):
             memory, _ = decide(memory, NO_NUMBERS)
             result = _estimate_without([], result, start, tolerance, memory)
             break
-        normalized = float(normalized_residuals(result)[row])
-        removed.append(RemovedMeasurement(result.measurements[row], normalized, memory.tied[-1]))
+        for row in rows:
+            normalized = float(normalized_residuals(result)[row])
+            removed.append(RemovedMeasurement(result.measurements[row], normalized, memory.tied[-1]))
+        switched |= {switch: math.sqrt(result.gains[switch]) for switch in switches}
         result = following
-    return _report(result, [*(_describe_dead(m, result) for m in dead), *removed], threshold)
+    return _report(result, [*(_describe_dead(m, result) for m in dead), *removed], switched, threshold)
 
 
 def _leave_out_dead(
@@ -209,8 +224,16 @@ def _estimate_without(
     start: tuple[np.ndarray, np.ndarray] | None,
     tolerance: float,
     memory: Memory,
+    switches: Sequence[str] = (),
 ) -> EstimationResult:
+    """The estimate without the meters at the positions ``rows``, with the other statuses of ``switches``."""
     plan = result.plan.without(rows) if rows else result.plan
+    if switches:
+        status = plan.network.switches
+        network = plan.network.operated({switch: not status[switch] for switch in switches})
+        kept = find_meters_in_service(network, plan.meters)
+        meters, rows = take_items(plan.meters, kept), np.delete(np.arange(len(plan.meters)), kept).tolist()
+        plan = build_estimation_plan(network, meters, reference=plan.reference)
     readings = np.delete(result.values, rows), np.delete(result.sigmas, rows)
     return iterate_with_plan(plan, *readings, start=start, tolerance=tolerance, memory=memory)
 
@@ -235,7 +258,9 @@ def _describe_dead(m: Measurement, result: EstimationResult) -> RemovedMeasureme
     return RemovedMeasurement(m, normalized, ())
 
 
-def _report(result: EstimationResult, removed: Sequence[RemovedMeasurement], threshold: float) -> BadDataReport:
+def _report(
+    result: EstimationResult, removed: Sequence[RemovedMeasurement], switched: Mapping[str, float], threshold: float
+) -> BadDataReport:
     critical = find_critical(result)
     limit = chi_square_limit(result.degrees_of_freedom, CONFIDENCE)
     detected = result.objective >= limit
@@ -250,12 +275,16 @@ def _report(result: EstimationResult, removed: Sequence[RemovedMeasurement], thr
         degrees_of_freedom=result.degrees_of_freedom,
         suspect=_find_suspect(result, threshold, critical) if detected and not taps else None,
         taps=taps,
+        switched=switched,
+        gains=result.gains,
     )
 
 
 def _find_suspect(result: EstimationResult, threshold: float, critical: Collection[str]) -> SuspectKept | None:
     """The meter with the largest normalised residual where removal has ended, and the reason why it stays."""
     normalized, kept = normalized_residuals(result), result.memory.kept
+    if find_switches((kept,)):
+        return None
     worst = [meter.id for meter in result.plan.meters].index(kept) if kept else int(np.argmax(normalized))
     if normalized[worst] <= threshold:
         return None

@@ -14,7 +14,7 @@ from enum import StrEnum
 import numpy as np
 
 from dsse_core import gauss_newton
-from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, find_taps, keep_equal, keep_tied
+from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, find_switches, find_taps, keep_equal, keep_tied
 from dsse_core.gauss_newton import FULL_STEPS, LAST_STEP, MOST_STEPS
 from dsse_core.linear.boundary_information import BEYOND_REASON
 from dsse_core.split_identity import HeldSplits, SplitUse, add_held, add_uses
@@ -168,9 +168,10 @@ def _add_names(parts: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
 class Memory:
     """State of a term on which decisions rest beside the totals; all areas of the term have the same.
 
-    ``removed``: meters taken out as bad data, in order. ``tied``: for each removed meter those whose residual equalled
-    its own then, by id; the readings do not tell which of them is wrong. ``kept``: the meter without which no estimate
-    was found. That meter is in use again, and no other is taken out. ``steps``: number of steps since the last start.
+    ``removed``: meters taken out as bad data, and switches that take the other status (``name_switch``), in order.
+    ``tied``: for each of them those whose residual equalled its own then, by id; the readings do not tell which of them
+    is wrong. ``kept``: the meter without which no estimate was found, or such a switch. It is as it was again, and no
+    other is taken out. ``steps``: number of steps since the last start.
     ``share``: the part that was taken of the last step. ``before``: the size of the last but one step where it can be
     compared with the last, else 0. ``share_before``, ``square_before``: the share of the last but one step, and its
     product with itself, 0 where that step was corrected. ``objective``: J before the last step. ``stepped``: the last
@@ -223,6 +224,8 @@ class Verdict:
 def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tuple[Memory, Verdict]:
     """Memory for the next verdict, and the verdict on ``totals``; ``tolerance``: see ``gauss_newton.next_step``."""
     if totals.unobservable:
+        if find_switches(memory.removed[-1:]):
+            return _give_up(memory, UNOBSERVABLE)
         return memory, Verdict(Decision.FINAL, reason=UNOBSERVABLE)
     if totals.failed:
         return _give_up(memory, NO_ESTIMATE)
@@ -314,7 +317,8 @@ def are_steps_used_up(memory: Memory) -> bool:
 
 
 def _remove_worst(memory: Memory, totals: Totals) -> tuple[Memory, Verdict]:
-    """Verdict after evaluating: removes the meter with the largest normalised residual, of equal ones the first by id.
+    """Verdict after evaluating: removes the meter with the largest normalised residual, of equal ones the first by id;
+    a switch takes its other status.
 
     The scan ends without a removal where no residual stands out, where the largest is that of a tap, as then no meter
     need be to blame, or where the step taken with the decision has brought J below the limit.

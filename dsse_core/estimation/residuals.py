@@ -26,6 +26,7 @@ CRITICAL_REDUNDANCY = 1e-12
 # Least (R_ii - Omega_ii) / R_ii, the variance of the estimated reading over that of the meter. Below it the meter says
 # next to nothing about its quantity, and the difference would lose more than four digits.
 LEAST_REDUCTION = 1e-4
+SWITCH = "switch@"
 TAP = re.compile(r"tap@(?P<branch>.+):(?P<steps>[+-][0-9]+)")
 DEAD_VM = 0.5  # p.u.; no grid works below it, but least squares find states that come close to such a reading
 
@@ -43,8 +44,8 @@ class MeterChecks:
     """Checks of the ``meters`` of an area or of the whole grid by an estimate; arrays (n_meas,).
 
     ``residual``: z - h(x); ``variance``: diag(Omega); ``real``: not virtual. ``find_indispensable``: finds the meters
-    that are indispensable at no load, (n_meas,); ``find_taps``: taps that stand out, by ``name_tap``, with their
-    normalised residuals. Both are called only where needed.
+    that are indispensable at no load, (n_meas,); ``find_others``: taps and switches that stand out, by ``name_tap`` and
+    ``name_switch``, with their normalised residuals. Both are called only where needed.
     """
 
     meters: Sequence[Meter]
@@ -53,7 +54,7 @@ class MeterChecks:
     sigma: np.ndarray
     real: np.ndarray
     find_indispensable: Callable[[], np.ndarray]
-    find_taps: Callable[[], Mapping[str, float]] = dict
+    find_others: Callable[[], Mapping[str, float]] = dict
 
     @cached_property
     def normalized(self) -> np.ndarray:
@@ -72,10 +73,12 @@ class MeterChecks:
         return tuple(self.meters[k].id for k in np.flatnonzero(unchecked & self.real).tolist())
 
     def suspects(self, threshold: float = THRESHOLD) -> tuple[dict[str, float], dict[str, float]]:
-        """Meter or tap -> its normalised residual, for those above ``threshold``; two parts, see ``split_suspects``."""
+        """Meter, tap or switch -> its normalised residual, for those above ``threshold``; two parts, see
+        ``split_suspects``.
+        """
         above = np.flatnonzero(self.normalized > threshold).tolist()
         found = {self.meters[k].id: float(self.normalized[k]) for k in above}
-        return split_suspects(found | dict(self.find_taps()), set(self.critical))
+        return split_suspects(found | dict(self.find_others()), set(self.critical))
 
 
 def name_tap(branch: str, steps: int) -> str:
@@ -93,6 +96,16 @@ def find_taps(suspects: Iterable[str]) -> dict[str, int]:
     """Branch -> steps, of those ``suspects`` that are taps, see ``name_tap``."""
     found = (TAP.fullmatch(name) for name in suspects)
     return {match["branch"]: int(match["steps"]) for match in found if match}
+
+
+def name_switch(branch: str) -> str:
+    """The name of a switch among suspects: "switch@18-33"."""
+    return f"{SWITCH}{branch}"
+
+
+def find_switches(suspects: Iterable[str]) -> tuple[str, ...]:
+    """Those of the ``suspects`` that are switches, by the ids of their branches, see ``name_switch``."""
+    return tuple(name.removeprefix(SWITCH) for name in suspects if name.startswith(SWITCH))
 
 
 def keep_tied(suspects: Mapping[str, float]) -> dict[str, float]:

@@ -11,8 +11,10 @@ import numpy as np
 from dsse_core.estimation.decision import Memory
 from dsse_core.estimation.plan import Backend, EstimationPlan
 from dsse_core.estimation.radial import RadialInverse, find_radial_variances, invert_radial
+from dsse_core.estimation.switches import weigh_switches
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.network import Network
+from dsse_core.grid.supply import find_alternatives
 from dsse_core.linear.whole_grid import GridSolver
 
 
@@ -101,6 +103,14 @@ class EstimationResult:
         if (of_radial := self._radial_variances) is not None:
             return of_radial[1]
         return self.linear.variance_of_residuals(self._x)
+
+    @cached_property
+    def gains(self) -> dict[str, float]:
+        """Switch -> by how much J is less with its other status, see ``weigh_switches``."""
+        if not self.network.switches:  # where the back end is radial, the sparse one is not built
+            return {}
+        model = self.plan.sparse.model.with_values(self.values, self.sigmas)
+        return weigh_switches(model, self._x, {}, find_alternatives(model.area, {}))
 
     @cached_property
     def radial_inverse(self) -> RadialInverse:

@@ -15,7 +15,8 @@ import numpy as np
 
 from dsse_core.errors import DsseError
 from dsse_core.estimation.decision import MOST_NAMED, Decision, Memory, Totals, Verdict, limit_total
-from dsse_core.estimation.residuals import DEAD_VM, MeterChecks, find_dead
+from dsse_core.estimation.residuals import DEAD_VM, MeterChecks, find_dead, find_switches, find_taps
+from dsse_core.estimation.switches import find_wrong_switches, weigh_switches
 from dsse_core.estimation.taps import find_wrong_taps
 from dsse_core.exchange.boundary_load import Loads, powers_from, stand_in_for
 from dsse_core.exchange.feeder_bad_data import (
@@ -24,12 +25,12 @@ from dsse_core.exchange.feeder_bad_data import (
     count_freedom,
     find_objective,
 )
-from dsse_core.exchange.supply import FED, Pieces, find_pieces, find_pieces_for
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Network
 from dsse_core.grid.nodes import list_phases
 from dsse_core.grid.partition import Area
 from dsse_core.grid.quantities import Quantity
+from dsse_core.grid.supply import FED, Pieces, find_alternatives, find_pieces, find_pieces_for
 from dsse_core.grid.switches import keep_in_service
 from dsse_core.linear import choose_backend
 from dsse_core.linear.area_model import AreaModel, build_area_model
@@ -52,7 +53,8 @@ class AreaEstimation:
     """
 
     def __init__(self, area: Area) -> None:
-        self.area = area  # with its switches as of the last ``begin``
+        self.area = area  # with its switches as this start has them
+        self._as_read = area  # with its switches as of the last ``begin``
         self._reference = area.reference[0] if area.reference else None
         self._n = area.network.n_nodes
         self._by_name = {n.area: n for n in area.neighbours}
@@ -60,12 +62,14 @@ class AreaEstimation:
         self.x = self._flat
         self.failure = ""
         self.removed: tuple[str, ...] = ()
+        self.gains: Mapping[str, float] = {}  # of the other statuses of switches at x, see ``weigh_switches``
         self.critical: tuple[str, ...] = ()
         self.unobservable: tuple[int, ...] = ()  # nodes, by rows
         self.is_first = False  # no step of this start has been taken, and no-load information is wanted
-        self.reported: set[str] = set()  # own meters that the area has named as the worst in this term
+        self.reported: set[str] = set()  # own suspects that the area has named as the worst in this term
         self.own_meters: frozenset[str] = frozenset()  # that have a reading
         self._readings: tuple[Measurement, ...] = ()
+        self._all_readings: Sequence[Measurement] = ()  # those of meters at open branches included
         self._meters_read: tuple[Meter, ...] = ()
         self._silent: frozenset[str] = frozenset()
         self._is_stale = False
@@ -90,6 +94,7 @@ class AreaEstimation:
         self._meters_of_no_load: tuple[Meter, ...] = ()
         self._kept_no_load: dict[tuple[str, ...], tuple[object, object]] = {}  # query -> its input, its result
         self.dead = np.zeros(self._n, dtype=bool)  # nodes without supply
+        self._pieces: Mapping[str, Pieces] = {}  # of all neighbours, as of this start
 
     @property
     def model(self) -> AreaModel:
@@ -120,21 +125,25 @@ class AreaEstimation:
         ``closed``: switch of the area -> True where it is closed; others stay as they are. Meters of open ones are left
         out. ``stale``: the readings are not of this scan. ``loads``: neighbour -> its load message.
         """
-        self._operate(closed or {})
-        self._readings = tuple(keep_in_service(self.area.network, readings))
+        self._as_read, self._all_readings = self._as_read.operated(closed or {}), readings
         self._silent, self._is_stale = frozenset(silent), stale
-        if (meters := tuple(m.meter for m in self._readings)) != self._meters_read:
-            self._meters_read, self.own_meters = meters, frozenset(meter.id for meter in meters)
         self.reported, self.before_removal = set(), None
+        self._operate(())
         self.dead = find_pieces(self.area, {}) != FED  # what lies behind neighbours is not known yet
         self._start = self._start_of_term = self._hold_dead(self._flat if self.failure else self.x)
         self._start_anew(())
         self.stand_ins = self._find_stand_ins(loads or {})
 
-    def _operate(self, closed: Mapping[str, bool]) -> None:
-        """Sets the area's switches. The state stays; models and no-load information of other statuses are dropped."""
-        area = self.area.operated(closed)
-        if area is self.area:
+    def _operate(self, removed: Sequence[str]) -> None:
+        """Sets the area's switches as they were read, those of ``removed`` the other way, and takes the readings of
+        meters in service. The state stays; models and no-load information of other statuses are dropped.
+        """
+        as_read = self._as_read.network.switches
+        area = self._as_read.operated({s: not as_read[s] for s in find_switches(removed) if s in as_read})
+        self._readings = tuple(keep_in_service(area.network, self._all_readings))
+        if (meters := tuple(m.meter for m in self._readings)) != self._meters_read:
+            self._meters_read, self.own_meters = meters, frozenset(meter.id for meter in meters)
+        if area.network.switches == self.area.network.switches:
             return
         self.area = area
         if self._model is not None:
@@ -196,8 +205,15 @@ class AreaEstimation:
             found[name] = stand_in_for(boundary, y, all_load)
         return found
 
+    def owns(self, suspect: str) -> bool:
+        """True where no other area can name ``suspect``: a meter of this area that has a reading, or a tap or switch of
+        one of its branches.
+        """
+        branches = {*find_switches((suspect,)), *find_taps((suspect,))}
+        return suspect in self.own_meters or not branches.isdisjoint(self.area.network.branch_ids)
+
     def _start_anew(self, removed: Sequence[str]) -> None:
-        self.failure = ""
+        self.failure, self.gains = "", {}
         self.removed = tuple(meter for meter in removed if meter in self.own_meters)
         self.x = self.linearized_at = self._start
         self._step = np.zeros_like(self.x)
@@ -389,7 +405,8 @@ class AreaEstimation:
         """
         try:
             if self.is_first:
-                self._leave_dead(pieces or {})
+                self._pieces = pieces or {}
+                self._leave_dead(self._pieces)
             self._check_no_load(no_load)
             if verdict.takes_step:
                 self._check_information(received)
@@ -399,7 +416,7 @@ class AreaEstimation:
                 self._step[: 2 * self._n][self._of_dead] = 0.0
                 self.x = self.x + verdict.share * self._step
                 self._check()
-                if not memory.removed and verdict.with_step:
+                if verdict.with_step and len(find_switches(memory.removed)) == len(memory.removed):
                     self.before_removal = self.x, self.received
             match verdict.decision:
                 case Decision.SHORTEN:
@@ -411,6 +428,7 @@ class AreaEstimation:
                     self._build()
                 case Decision.ANEW:
                     self._start = self._flat if memory.from_flat_start else self._start_of_term
+                    self._operate(memory.removed)
                     self._start_anew(memory.removed)
                 case Decision.EVALUATE:
                     self._evaluate()
@@ -466,11 +484,18 @@ class AreaEstimation:
             self.critical = tuple(sorted(indispensable & self.model.real_ids))
 
     def _evaluate(self) -> None:
-        """Finds the critical meters, and the largest normalised residual of the others."""
+        """Finds the critical meters, and the largest normalised residual of the others, of taps and of switches."""
+        self.weigh_switches()
         checks = self._check_meters(self._variances()[1])
         self.critical, (worst, tied) = checks.critical, checks.suspects()
         self._worst, self._tied = (tuple(sorted(found.items()))[:MOST_NAMED] for found in (worst, tied))
         self.reported |= worst.keys()
+
+    def weigh_switches(self) -> None:
+        """Finds by how much J of the whole grid is less with the other status of each switch, at x."""
+        self.gains = self.gains or weigh_switches(
+            self.model, self.x, self.received, find_alternatives(self.area, self._pieces)
+        )
 
     def find_sigmas(self) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
         """Standard deviations (sigma_vm, sigma_va), shape (n_nodes,), p.u. and rad, and the critical meters.
@@ -503,7 +528,7 @@ class AreaEstimation:
             model.meters,
             *of_meters,
             lambda: np.array([m in self.critical for m in model.ids], dtype=bool),
-            lambda: find_wrong_taps(model, self.linearized_at, self.received),
+            lambda: find_wrong_taps(model, self.linearized_at, self.received) | find_wrong_switches(self.gains),
         )
 
     def _variances(self) -> tuple[np.ndarray, np.ndarray]:

@@ -66,19 +66,18 @@ def take_fed(network: Network, readings: Sequence[Measurement]) -> tuple[Network
 def keep_in_service(network: Network, readings: Sequence[Measurement]) -> Sequence[Measurement]:
     """``readings`` without those of meters at branches that are open."""
     rows = find_meters_in_service(network, read_meters_of(readings))
-    return readings if rows is None else take_items(readings, rows)
+    return readings if len(rows) == len(readings) else take_items(readings, rows)
 
 
 def keep_meters_in_service(network: Network, meters: Sequence[Meter]) -> Sequence[Meter]:
     """``meters`` without those at branches that are open."""
     rows = find_meters_in_service(network, meters)
-    return meters if rows is None else take_items(meters, rows)
+    return meters if len(rows) == len(meters) else take_items(meters, rows)
 
 
-def find_meters_in_service(network: Network, meters: Sequence[Meter]) -> np.ndarray | None:
-    """The positions of ``meters`` that are not at open branches; None where these are all."""
+def find_meters_in_service(network: Network, meters: Sequence[Meter]) -> np.ndarray:
+    """The positions of the ``meters`` that are not at open branches."""
     if network.table.in_service.all():
-        return None
+        return np.arange(len(meters))
     is_open = {branch.id for branch in network.branches if not branch.in_service}
-    in_service = np.array([meter.branch not in is_open for meter in meters], dtype=bool)
-    return None if in_service.all() else np.flatnonzero(in_service)
+    return np.flatnonzero(np.array([meter.branch not in is_open for meter in meters], dtype=bool))

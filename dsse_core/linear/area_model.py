@@ -11,11 +11,13 @@ import scipy.sparse as sp
 
 from dsse_core.grid.admittance import Admittance, build_admittance, flat_start
 from dsse_core.grid.boundary import Kind
+from dsse_core.grid.columns import take_items
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.measurement_model import CurrentsBeyond, MeasurementModel, build_measurement_model
 from dsse_core.grid.meter_table import IS_OF_PHASOR, OF_INJECTION
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area, Neighbour
+from dsse_core.grid.switches import find_meters_in_service
 from dsse_core.linear import Backend, LinearArea, Matrix, Rows, make_linear, make_rows
 from dsse_core.linear.area_measurements import NO_ROWS, AreaMeasurements
 from dsse_core.linear.boundary_information import EXACT_SIGMA
@@ -111,14 +113,28 @@ def build_area_model(
     )
 
 
+def with_network(model: AreaMeasurements, network: Network) -> AreaMeasurements:
+    """``model`` on another ``network`` of the same buses, without meters at branches that are open there."""
+    area, admittance = replace(model.area, network=network), build_admittance(network)
+    rows = find_meters_in_service(network, model.meters)
+    meters = take_items(model.meters, rows)
+    return replace(
+        model,
+        area=area,
+        model=_count_currents(area, build_measurement_model(network, admittance, meters)),
+        into_children=model.into_children[rows],
+        into_area=_build_into_area(area, admittance),
+        z=model.z[rows],
+        sigma=model.sigma[rows],
+        meters=meters,
+    )
+
+
 def with_tap(model: AreaMeasurements, branch: str, tap: float) -> AreaMeasurements:
     """``model`` with another ``tap`` of a branch of its area."""
     network = model.area.network
     branches = tuple(replace(b, tap=tap) if b.id == branch else b for b in network.branches)
-    area = replace(model.area, network=replace(network, branches=branches))
-    admittance = build_admittance(area.network)
-    of_meters = _count_currents(area, build_measurement_model(area.network, admittance, model.meters))
-    return replace(model, area=area, model=of_meters, into_area=_build_into_area(area, admittance))
+    return with_network(model, replace(network, branches=branches))
 
 
 def _build_into_area(area: Area, admittance: Admittance) -> MeasurementModel | None:

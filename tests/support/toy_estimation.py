@@ -29,7 +29,7 @@ class ToyEstimation:
         self.failure = ""
         self.removed = self.critical = self.dead_voltmeters = self.into_children = ()
         self.reported: set[str] = set()
-        self.own_meters: frozenset[str] = frozenset()
+        self.gains: dict[str, float] = {}
         self.before_removal = None
         self.is_first = False
         self.dead, self.dead_places = np.zeros(1, dtype=bool), ()
@@ -94,6 +94,12 @@ class ToyEstimation:
 
     def find_sigmas(self) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
         return np.ones(1), np.ones(1), ()
+
+    def owns(self, suspect: str) -> bool:
+        return False
+
+    def weigh_switches(self) -> None:
+        pass
 
     def describe_readings(self) -> dict[str, tuple[float, float]]:
         return {}

@@ -28,9 +28,9 @@ from dsse_core.estimation.decision import (
 )
 from dsse_core.exchange.area_estimation import FAILURES, AreaEstimation
 from dsse_core.exchange.boundary_load import Loads
-from dsse_core.exchange.supply import Pieces
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.partition import Area
+from dsse_core.grid.supply import Pieces
 from dsse_core.linear.boundary_information import BEYOND_REASON, BoundaryInformation
 from dsse_core.split_identity import SplitIdentity, SplitUse, find_newest
 
@@ -99,7 +99,9 @@ class AreaRound:
 
     @property
     def removed(self) -> tuple[str, ...]:
-        """The meters of all areas that this term has taken out as bad data, in order."""
+        """The meters of all areas that this term has taken out as bad data, and the switches that it has operated, in
+        order.
+        """
         return self._memory.removed
 
     @property
@@ -181,12 +183,14 @@ class AreaRound:
         return (SplitUse(own, (self._area.name,) if is_other else ()), *named)
 
     def _read(self, totals: Totals) -> Totals:
-        """Returns the totals of a neighbour without meters of this area, which no other area can name, and without
-        removed meters.
+        """Returns the totals of a neighbour without suspects of this area, which no other area can name, and without
+        removed ones.
         """
-        unknown = self.estimation.own_meters | set(self.removed)
-        worst, tied = (tuple(n for n in named if n[0] not in unknown) for named in (totals.worst, totals.tied))
+        worst, tied = (tuple(n for n in named if not self._is_false(n[0])) for named in (totals.worst, totals.tied))
         return replace(totals, worst=worst, tied=tied)
+
+    def _is_false(self, suspect: str) -> bool:
+        return suspect in self.removed or self.estimation.owns(suspect)
 
     def find_up(self, totals: Totals) -> RoundContent:
         """Returns the content of Up(k)."""
@@ -255,7 +259,7 @@ class AreaRound:
         if str(verdict) != message.verdict:
             return f"it says {message.verdict!r} where its totals say {str(verdict)!r}"
         newest = set(memory.removed[-1:] if verdict.decision is Decision.ANEW else ()) - set(self._memory.removed)
-        if newest & self.estimation.own_meters - self.estimation.reported:
+        if any(self.estimation.owns(suspect) for suspect in newest - self.estimation.reported):
             return f"it takes out {memory.removed[-1]}, which does not stand out here"
         return ""
 

@@ -27,6 +27,7 @@ from agents.protocol.quality import (
     assess,
     find_contradictions,
     find_dead_sections,
+    find_doubtful_switches,
     find_early_scan,
     find_far_scans,
     find_gone,
@@ -50,7 +51,7 @@ from agents.protocol.scan_end import ScanEnd
 from agents.strategies.interface import Estimate
 from dsse_core.estimation.decision import STEPS_USED_UP, Totals
 from dsse_core.estimation.decision import UNOBSERVABLE as NOT_OBSERVABLE
-from dsse_core.estimation.residuals import FALSE_ALARMS, chi_square_limit, describe_tap, find_taps
+from dsse_core.estimation.residuals import FALSE_ALARMS, chi_square_limit, describe_tap, find_switches, find_taps
 from dsse_core.exchange.area_estimation import FAILURES
 from dsse_core.grid.boundary import Kind
 from dsse_core.grid.nodes import name_node
@@ -153,6 +154,7 @@ class RoundsState:
     def _read_estimate(self, outcome: Outcome) -> Estimate:
         estimation = self._round.estimation
         sigma_vm, sigma_va, critical = estimation.find_sigmas()
+        estimation.weigh_switches()
         (vm, va), totals = estimation.voltages, estimation.totals()
         estimate = Estimate(
             vm=vm,
@@ -183,6 +185,7 @@ class RoundsState:
         totals = outcome.totals
         yield from self._findings_of_end(outcome)
         yield from find_dead_sections(self._round.estimation.dead_places, totals.energised, totals.dark)
+        yield from find_doubtful_switches(find_switches(self._round.removed), self._round.estimation.gains)
         if not totals.referenced:
             yield Finding(RELATIVE_ANGLE, "no area that is counted sees the substation or has an angle meter")
         for n in self._area.neighbours:

@@ -14,6 +14,7 @@ from coordinator.show.report.phase_rows import show_by_site
 from coordinator.watch.tables import format_table
 from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.estimation.residuals import describe_tap
+from dsse_core.estimation.switches import describe_switches
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.printable import all_printable, printable, shortened
 from dsse_core.results.columns import find_first_rows
@@ -163,9 +164,10 @@ def format_bad_data(report: BadDataReport) -> list[str]:
             f"removed as bad data: {removed.measurement.meter} (normalised residual {removed.normalized_residual:.3g})"
             + (f"; the data cannot tell it from {', '.join(others)}" if others else "")
         )
+    lines += describe_switches(report.switched, report.gains)
     if report.detected:
         lines.append(f"bad data is still detected{_format_suspect(report)}")
-    elif not report.removed:
+    elif not (report.removed or report.switched):
         lines.append("no bad data detected")
     if report.n_without_variance:
         lines.append(

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area
 
 FED = 0
@@ -55,3 +56,16 @@ def find_pieces_for(area: Area, neighbour: str, received: Mapping[str, Pieces]) 
     found = find_pieces(area, received, neighbour)[area.boundary_nodes[neighbour]].tolist()
     number = {FED: FED}
     return tuple(number.setdefault(piece, len(number)) for piece in found)
+
+
+def find_alternatives(area: Area, received: Mapping[str, Pieces]) -> dict[str, Network]:
+    """Switch of ``area`` -> its network with the other status of this switch, where that darkens and feeds no node, and
+    the switch joins nodes that are fed. Of other switches no rows tell: those of a node that is not fed say nothing.
+    """
+    fed, found = find_pieces(area, received) == FED, {}
+    for switch, is_closed in area.network.switches.items():
+        other, branch = area.operated({switch: not is_closed}), area.network.branch(switch)
+        ends = [*area.network.nodes_at(branch.from_bus), *area.network.nodes_at(branch.to_bus)]
+        if fed[ends].all() and ((find_pieces(other, received) == FED) == fed).all():
+            found[switch] = other.network
+    return found

@@ -1,0 +1,90 @@
+"""Statuses of switches that the readings contradict: by how much J of the whole grid is less with the other status.
+
+J of the whole grid is the sum of all areas' J. At the state where messages are found, each neighbour's information is
+the least J of its side, all but the boundary variables eliminated, up to a constant: ``|z - R y|^2``. No other area
+depends on the status, so this and the constant are the same for both. So the area that holds the switch finds the
+change of J of the whole grid from its own rows and the messages that it has, beside what others are not linear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+
+from dsse_core.errors import DsseError
+from dsse_core.estimation.residuals import THRESHOLD, find_switches, name_switch
+from dsse_core.gauss_newton import LAST_STEP, MAX_DVA, MAX_DVM
+from dsse_core.grid.network import Network
+from dsse_core.grid.switches import find_meters_in_service
+from dsse_core.linear.area_measurements import AreaMeasurements
+from dsse_core.linear.area_model import with_network
+from dsse_core.linear.interface import Received
+from dsse_core.linear.rows import TableauSolver
+from dsse_core.linear.sparse import SparseRows
+
+MOST_ITERATIONS = 20  # of Gauss-Newton with the other status
+
+
+def weigh_switches(
+    model: AreaMeasurements, x: np.ndarray, received: Received, alternatives: Mapping[str, Network]
+) -> dict[str, float]:
+    """Switch -> by how much J is less with its other status, which ``alternatives`` have; negative where it is more.
+
+    ``received``: the information of neighbours at ``x``. A meter at a switch that is opened should read 0. A switch is
+    left out where one of its statuses leads to no end.
+    """
+    found: dict[str, float] = {}
+    if not alternatives or (least := _find_least(model, x, received)) is None:
+        return found
+    for switch, network in alternatives.items():
+        if (of_other := _find_least(with_network(model, network), x, received)) is None:
+            continue
+        at_switch = ~model.virtual
+        at_switch[find_meters_in_service(network, model.meters)] = False
+        reads_0 = float(((model.z[at_switch] / model.sigma[at_switch]) ** 2).sum())
+        found[switch] = least - of_other - reads_0
+    return found
+
+
+def find_wrong_switches(gains: Mapping[str, float]) -> dict[str, float]:
+    """``name_switch`` of each switch whose other status lowers J by more than THRESHOLD^2 -> root of the change.
+
+    So large is the normalised residual of a meter whose removal lowers J as much.
+    """
+    return {name_switch(switch): float(np.sqrt(gain)) for switch, gain in gains.items() if gain > THRESHOLD**2}
+
+
+def describe_switches(switched: Iterable[str], gains: Mapping[str, float]) -> Iterator[str]:
+    """Sentences on switches: on those ``switched``, in use with the other status than was read, and by ``gains`` on
+    those that fit better with the other one, and on those whose status the readings do not tell.
+    """
+    for switch in switched:
+        yield f"{name_switch(switch)} counts the other way, as the readings contradict its status: check it"
+    for switch in find_switches(find_wrong_switches(gains)):
+        what = f"the readings fit better with the other status of {name_switch(switch)}"
+        yield f"{what} (J less by {gains[switch]:.3g}): check it"
+    if undecided := [switch for switch, gain in gains.items() if abs(gain) <= THRESHOLD**2]:
+        yield f"undecided, the readings fit both statuses: switch {', '.join(undecided)}"
+
+
+def _find_least(model: AreaMeasurements, x: np.ndarray, received: Received) -> float | None:
+    """The least J of the area's rows and of the messages ``received``, found from ``x`` on by Gauss-Newton; None where
+    that has no end.
+    """
+    solver, n = TableauSolver(model, SparseRows(model), "sparse"), model.n_nodes
+    for _ in range(MOST_ITERATIONS):
+        try:
+            dx = solver.step(x, received)
+        except (ArithmeticError, RuntimeError, DsseError):
+            return None
+        dva, dvm = float(abs(dx[:n]).max()), float(abs(dx[n : 2 * n]).max())
+        if not np.isfinite(dx).all():
+            return None
+        x = x + dx / max(1.0, dva / MAX_DVA, dvm / MAX_DVM)
+        if max(dva, dvm) < LAST_STEP:
+            _, r, sigma = solver.stack(x, received)
+            counts = np.ones(len(r), dtype=bool)
+            counts[: len(model.z)] = ~model.virtual
+            return float(((r[counts] / sigma[counts]) ** 2).sum())
+    return None
