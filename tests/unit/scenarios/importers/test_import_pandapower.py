@@ -20,7 +20,7 @@ from scenarios.importers import Imported, import_grid
 from scenarios.importers.imported_files import write_imported
 from scenarios.scenario import load_scenario
 from tests.support.levels import further
-from tests.support.pandapower_tables import ONE_WORKER, LoadedLate
+from tests.support.pandapower_tables import ONE_WORKER, LoadedLate, made_once
 
 pp: Any = LoadedLate("pandapower")
 networks: Any = LoadedLate("pandapower.networks")
@@ -59,6 +59,7 @@ def problems_of(tmp_path: Path, net: Any) -> str:
     return "\n".join(caught.value.problems)
 
 
+@made_once
 def small_grid() -> Any:
     """110 / 20 kV, Dyn5 with tap changer, a ring, a closed bus switch (14 to 15), an open line end, a dark island."""
     net = pp.create_empty_network(sn_mva=10)
@@ -158,6 +159,7 @@ def test_an_impedance_that_differs_by_direction_is_rejected(tmp_path: Path) -> N
     assert "impedance 0: its two ends differ" in problems_of(tmp_path, net)
 
 
+@made_once
 def measured_grid() -> Any:
     """``small_grid`` with every kind of measurement, both ends of lines and transformer, some twice, with noise."""
     net = small_grid()
@@ -392,7 +394,7 @@ def test_no_column_or_table_that_pandapower_does_not_know_is_left_out_in_silence
     assert "controller 0: not run, taps stay where they are" in reported
 
 
-@pytest.mark.parametrize("controllers", [[1, 2], "none", {"a": 1}, None])
+@pytest.mark.parametrize("controllers", [[1, 2], *further("none", {"a": 1}, None)])
 def test_controllers_that_are_no_table_are_no_traceback(tmp_path: Path, controllers: object) -> None:
     net = small_grid()
     net["controller"] = controllers
