@@ -28,7 +28,7 @@ from dsse_core.results.units import base_a, base_kw
 UNITS = ("pu", "deg", "kw", "kvar", "a")
 QUANTITIES = ("value", "sigma", "estimate", "residual")
 """Columns in the unit of each meter: ``value_kw`` and so on."""
-STATUS = USED, REMOVED, CRITICAL, SILENT = "used", "removed", "critical", "silent"
+STATUS = USED, REMOVED, CRITICAL, SILENT, DEAD = "used", "removed", "critical", "silent", "silent: dead"
 
 
 def make_meter_table(
@@ -44,7 +44,8 @@ def make_meter_table(
     """One row per meter; the columns QUANTITIES have a value in its unit alone.
 
     ``values``, ``sigmas``, ``residual_variance`` (n_meas,), p.u. and rad: readings, their standard deviations, and the
-    variances of their residuals; nan where there is none, or none is known. A meter without reading is ``silent``.
+    variances of their residuals; nan where there is none, or none is known. A meter without reading is ``silent``, one
+    where there is no supply ``silent: dead``.
     ``removed``: ids of the meters taken out as bad data, with the normalised residual that each had then. ``critical``:
     ids of critical meters. ``label``: of the scan.
 
@@ -76,7 +77,7 @@ def make_meter_table(
         branch=[branch or "" for branch in texts["branch"]],
         phase=[phases or ALL_PHASES for phases in texts["phases"]],
         source=texts["source"],
-        status=_find_status(row_of, np.isnan(values), removed, critical),
+        status=_find_status(row_of, np.isnan(values), removed, critical, find_unsupplied(state.network, texts["bus"])),
         **in_units,
         normalised_residual=normalised,
         scan=scan,
@@ -105,13 +106,23 @@ def _find_rows(ids: Sequence[str], wanted: Collection[str]) -> dict[str, int]:
     return {meter: row for row, meter in enumerate(ids) if meter in wanted} if wanted else {}
 
 
+def find_unsupplied(network: Network, bus: Sequence[int] | np.ndarray) -> np.ndarray:
+    """True for each id in ``bus`` to which no closed branches lead from the substation, (n,)."""
+    return np.isin(bus, network.find_unreached_buses(network.slack.bus) if network.slack else ())
+
+
 def _find_status(
-    row_of: Mapping[str, int], silent: np.ndarray, removed: Collection[str], critical: Collection[str]
+    row_of: Mapping[str, int],
+    silent: np.ndarray,
+    removed: Collection[str],
+    critical: Collection[str],
+    dead: np.ndarray,
 ) -> list[str]:
     status = np.full(len(silent), STATUS.index(USED))
     status[[row_of[meter] for meter in critical if meter in row_of]] = STATUS.index(CRITICAL)
     status[silent] = STATUS.index(SILENT)
     status[[row_of[meter] for meter in removed if meter in row_of]] = STATUS.index(REMOVED)
+    status[dead] = STATUS.index(DEAD)
     return list_texts(STATUS, status)
 
 

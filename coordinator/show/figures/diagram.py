@@ -108,6 +108,21 @@ def mark_boundaries(axes: Axes, partition: Partition, layout: Layout, fill: str 
     _mark(axes, layout, [network.row[network.slack.bus]], "substation", "s", INK)
 
 
+def mark_switches(axes: Axes, network: Network, layout: Layout) -> None:
+    """Draw switches as squares in the middle of their branches: filled if closed; open ones with a thin dashed line."""
+    for is_closed, label in ((True, "closed switch"), (False, "open switch")):
+        switches = [network.branch(s) for s, closed in network.switches.items() if closed == is_closed]
+        corners = [find_corners(network, layout, branch) for branch in switches]
+        if not corners:
+            continue
+        if not is_closed:
+            for line in corners:
+                axes.plot(*line.T, color=INK, linewidth=0.8, linestyle="dashed", zorder=1)
+        middles = np.array([(line[-2] + line[-1]) / 2 for line in corners])
+        style: dict[str, Any] = {"markerfacecolor": INK if is_closed else PAPER, "markeredgecolor": INK}
+        axes.plot(*middles.T, linestyle="none", marker="s", markersize=4, label=label, zorder=5, **style)
+
+
 def _mark(axes: Axes, layout: Layout, rows: list[int], label: str, marker: str, fill: str) -> None:
     style: dict[str, Any] = {"color": INK, "marker": marker, "markerfacecolor": fill, "markeredgecolor": INK}
     axes.plot(

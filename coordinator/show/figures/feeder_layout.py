@@ -3,7 +3,7 @@
 Columns count branches from the substation. The longest path outwards from a bus continues in its row. Every other
 branch turns off into the nearest row that is free from there outwards, so that no two lines cross. Branches that close
 loops are ignored. The time grows linearly with the number of buses, since a lateral is never longer than the path that
-continues.
+continues. A section without supply hangs at a branch that would feed it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Layout:
 
 
 def lay_out(network: Network) -> Layout:
-    """Layout of a network, all of whose buses the substation reaches."""
+    """Layout of a network, all of whose buses the substation reaches by closed or open branches."""
     assert network.slack is not None
     root = network.slack.bus
     upstream = _walk(network, root)
@@ -60,16 +60,29 @@ def find_places(network: Network) -> np.ndarray | None:
 
 
 def _walk(network: Network, root: int) -> dict[int, int]:
-    """Bus -> the bus before it on a shortest way to ``root``, its own for ``root``; nearer buses come first."""
+    """Bus -> the bus before it on a shortest way to ``root``, its own for ``root``; nearer buses come first.
+
+    Where no closed branch leads on, an open one does.
+    """
     upstream = {root: root}
     queue = deque([root])
-    while queue:
+    while queue or (queue := _cross_open(network, upstream)):
         here = queue.popleft()
         for branch in network.branches_at[here]:
             if (there := branch.other_end(here)) not in upstream:
                 upstream[there] = here
                 queue.append(there)
     return upstream
+
+
+def _cross_open(network: Network, upstream: dict[int, int]) -> deque[int]:
+    """The bus beyond the first open branch that leads away from ``upstream``, into which it is put; empty without."""
+    for branch in network.branches if len(upstream) < len(network.buses) else ():
+        for here, there in ((branch.from_bus, branch.to_bus), (branch.to_bus, branch.from_bus)):
+            if here in upstream and there not in upstream:
+                upstream[there] = here
+                return deque([there])
+    return deque()
 
 
 def _stack(order: list[int], children: dict[int, list[int]], trunk: set[int]) -> dict[int, int]:

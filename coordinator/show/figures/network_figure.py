@@ -15,6 +15,7 @@ from coordinator.show.figures.diagram import (
     find_corners,
     line_widths,
     mark_boundaries,
+    mark_switches,
     new_diagram,
     number_buses,
     show_phases,
@@ -24,6 +25,7 @@ from coordinator.show.figures.profile_figures import describe_ungrounded
 from coordinator.show.figures.style import GREY, VERMILLION, Drawing
 from dsse_core.estimation.state_limits import OperatingLimits
 from dsse_core.grid.network import Network
+from dsse_core.results.meters import find_unsupplied
 
 COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.15, 0.95, 256)))
 """Even steps of lightness, also for the colour-blind and for grey print; without the ends, which pages would hide."""
@@ -39,6 +41,8 @@ def draw_network(outcome: RunOutcome) -> Drawing:
     partition, network, limits = outcome.scenario.partition, outcome.scenario.network, outcome.scenario.operating_limits
     nodes = network.table.nodes
     vm = find_worst(network, np.where(outcome.buses.fresh, outcome.comparison.decentralised.vm, np.nan), limits)
+    dead = find_unsupplied(network, network.table.bus_id)
+    vm[dead] = np.nan
     layout = lay_out(network)
     known = np.flatnonzero(~np.isnan(vm))
     ends = [int(known[np.argmin(vm[known])]), int(known[np.argmax(vm[known])])] if len(known) else []
@@ -48,10 +52,12 @@ def draw_network(outcome: RunOutcome) -> Drawing:
     lines = [find_corners(network, layout, branch) for branch in branches]
     widths = line_widths(network)
     mean = (vm[network.table.f] + vm[network.table.t]) / 2
+    is_dead = dead[network.table.f]
     for n_corner, style in ((3, "solid"), (2, "dashed")):
         for unknown in (False, True):
             chosen = [k for k, line in enumerate(lines) if len(line) == n_corner and np.isnan(mean[k]) == unknown]
-            drawn = LineCollection([lines[k] for k in chosen], linewidths=widths[chosen], linestyles=style)
+            styles = np.where(is_dead, "dotted", style)[chosen].tolist()
+            drawn = LineCollection([lines[k] for k in chosen], linewidths=widths[chosen], linestyles=styles)
             if unknown:
                 drawn.set_color(GREY)
             else:
@@ -73,6 +79,9 @@ def draw_network(outcome: RunOutcome) -> Drawing:
         x, y = layout.place[outside].T
         edges: dict[str, Any] = {"facecolors": "none", "edgecolors": VERMILLION, "label": "beyond the limits"}
         axes.scatter(x, y, s=4 * size, marker="^", zorder=4, **edges)
+    mark_switches(axes, network, layout)
+    if dead.any():
+        axes.plot([], [], color=GREY, linestyle="dotted", linewidth=2.5, label="without supply")
     axes.autoscale_view()
     mark_boundaries(axes, partition, layout, fill="none")
     show_phases(axes, network, layout)
@@ -97,8 +106,10 @@ def draw_network(outcome: RunOutcome) -> Drawing:
             " The worst phase of a bus is nearest to a limit, or farthest beyond. Thinner lines have fewer phases."
         )
     caption += describe_ungrounded(network)
-    if len(known) < len(vm):
-        caption += f" Grey: {len(vm) - len(known)} buses without a fresh estimate."
+    if dead.any():
+        caption += f" Grey and dotted: {dead.sum()} buses without supply."
+    if n_unknown := len(vm) - len(known) - int(dead.sum()):
+        caption += f" Grey: {n_unknown} buses without a fresh estimate."
     return Drawing("network", "Voltages in the network", caption, figure)
 
 

@@ -22,7 +22,7 @@ from dsse_core.grid.partition import Partition
 from dsse_core.results.branches import find_loading, make_branch_table
 from dsse_core.results.buses import make_bus_table
 from dsse_core.results.flows import Flows, build_branch_model
-from dsse_core.results.meters import find_unit_sizes
+from dsse_core.results.meters import DEAD, find_unit_sizes, find_unsupplied
 from dsse_core.results.state import AreaVoltages, join_states
 from dsse_core.results.table import ALL_PHASES, Freshness, Table
 from dsse_core.results.totals import division_of
@@ -235,19 +235,22 @@ class GridTables:
     def collect_meters(self, states: States, readings: ReadingsByArea, freshness: FreshnessByArea) -> Columns:
         """Columns of ``collect_readings`` with readings in their ``unit``, and a row for each meter without a reading.
 
-        The status of such a meter is ``silent`` where its area has published its readings, else ``not received``.
+        The status of such a meter is ``silent`` where its area has published its readings, else ``not received``; that
+        of one without supply ``silent: dead``.
         """
         plain = _collect(states, readings)
         rows = self._find_rows(plain["meter"], plain["area"])
         gap = np.full(len(rows.silent_areas), np.nan)
-        status = plain["status"] if rows.are_all else [plain["status"][k] for k in rows.known.tolist()]
-        silent = [SILENT if area in readings else UNKNOWN for area in rows.silent_areas]
+        status = [*plain["status"]] if rows.are_all else [plain["status"][k] for k in rows.known.tolist()]
+        status += [SILENT if area in readings else UNKNOWN for area in rows.silent_areas]
+        for row in np.flatnonzero(find_unsupplied(self.scenario.network, rows.columns["bus"])).tolist():
+            status[row] = DEAD
         sized = "reading", "sigma", "estimate"
         with np.errstate(over="ignore"):
             scaled = {name: np.concatenate([plain[name][rows.known] * rows.size, gap]) for name in sized}
         relative = {name: np.concatenate([plain[name][rows.known], gap]) for name in RELATIVE}
         fresh = describe_freshness(rows.columns["area"], freshness)
-        return {**rows.columns, "status": status + silent, **scaled, **relative, **fresh}
+        return {**rows.columns, "status": status, **scaled, **relative, **fresh}
 
     def _find_rows(self, meters: list[str], areas: list[str]) -> _MeterRows:
         """The rows for these readings; computed again only where other meters have readings than at the last call."""

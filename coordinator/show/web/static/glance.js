@@ -15,7 +15,7 @@ const MOST_OFFERS = 4; // of a tile
 const MOST_AREAS = 3;
 const LONGEST_REASON = 60; // characters
 const SIGNS = { good: "✓", degraded: "!", bad: "✕", unknown: "?", none: "" }; // beside the colour, for who does not see it
-const REJECTED = ["removed", "silent", "off"]; // meters that are not used
+const REJECTED = ["removed", "silent", "silent: dead", "off"]; // meters that are not used
 const OF_METERS = ["map", "many removed", "contradictory"]; // kinds of alarms about meters
 
 /** @param {number} count @param {string} noun @returns {string} */

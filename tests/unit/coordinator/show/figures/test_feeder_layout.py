@@ -73,3 +73,12 @@ def test_a_network_is_a_map_only_if_each_bus_has_both_coordinates() -> None:
     buses[1] = replace(buses[1], y=None)
     assert find_places(replace(bare, buses=tuple(buses))) is None
     assert find_places(bare) is None
+
+
+def test_a_section_without_supply_hangs_at_an_open_branch_that_would_feed_it() -> None:
+    whole = grid([1, 2, 3, 4])
+    last, tie = whole.branches[2], replace(whole.branches[0], id="tie", from_bus=5, to_bus=2, in_service=False)
+    opened = tuple(replace(b, in_service=b is not last) for b in whole.branches)
+    layout = lay_out(replace(whole, branches=(*opened, tie)))
+    assert layout.upstream == {1: 1, 2: 1, 3: 2, 4: 3, 5: 4}
+    np.testing.assert_array_equal(layout.place, lay_out(whole).place)
