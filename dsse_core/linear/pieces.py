@@ -43,7 +43,7 @@ from dsse_core.linear.interface import Matrix
 from dsse_core.linear.reflections import Eliminated, eliminate, turn_alone
 
 PIECE = 20  # nodes, or up to twice as many: with 10 or 60 a step takes a quarter longer
-ENOUGH = 1e6  # times the root of the least information: a pivot above it needs no row of next to no weight
+ENOUGH = 1e8  # times the root of the least information: a pivot above it needs no row of next to no weight
 LIGHT = 1e-7  # of the largest pivot of exact rows: lighter than other rows, which have sigmas of some 1e-3
 
 

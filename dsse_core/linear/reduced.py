@@ -28,12 +28,14 @@ from dsse_core.grid.columns import split_by
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import EXACT_SIGMA, TIED_SIGMA, BoundaryInformation
-from dsse_core.linear.interface import NOT_YET, Matrix, Received, Rows
+from dsse_core.linear.interface import Matrix, Received, Rows
 from dsse_core.linear.pieces import Pieces, Reduction, divide_tree
 from dsse_core.linear.reflections import Eliminated, eliminate, triangulate, turn_alone
 from dsse_core.linear.rows import RowSolver, shift_of_own_rows
 from dsse_core.linear.sparse import SparseRows
 from dsse_core.matrices.augmented import BLOCK
+
+REFLECTED_NOT_YET = 1e-10  # NOT_YET by reflections, which keep the digits of the least that voltmeters tell, 1e2
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,8 @@ class ReducedSolver(RowSolver):
     Dense rows are eliminated in one piece, sparse ones in pieces along the area's tree. ``together`` (:, size): rows of
     variables that stand together in one piece, beside those of the meters.
     """
+
+    not_yet = REFLECTED_NOT_YET
 
     def __init__(self, model: AreaMeasurements, rows: Rows, name: str, together: sp.csr_array | None = None) -> None:
         super().__init__(model, rows, name)
@@ -294,7 +298,7 @@ class _Order:
 
         self.of_step = np.array([*without(nodes[0]), residual])
         self.least_of_shifts = np.zeros((2, self.n_boundary + 1))
-        self.least_of_shifts[[0, 1], [growth, turn]] = NOT_YET**0.5
+        self.least_of_shifts[[0, 1], [growth, turn]] = REFLECTED_NOT_YET**0.5
         self.picks: dict[str, np.ndarray] = {}
         self.towards: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         for n in area.neighbours:

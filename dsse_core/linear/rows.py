@@ -29,12 +29,15 @@ MOST_TURNS = 4  # axes of (p, q) that are tried, the first ones included
 class RowSolver(LinearArea):
     """Solver on all rows of an area: own measurements, further rows, messages; ``rows``: h and H of ``model``."""
 
+    not_yet = NOT_YET
+    """Information given to voltages that nothing determines yet."""
+
     def __init__(self, model: AreaMeasurements, rows: Rows, name: str) -> None:
         self.name = name
         self.declined = Counter()
         self.model, self.rows = model, rows
         n_voltage = 2 * model.n_nodes
-        self._least = np.where(np.arange(model.size) < n_voltage, NOT_YET, NOT_YET_OF_POWER)
+        self._least = np.where(np.arange(model.size) < n_voltage, self.not_yet, NOT_YET_OF_POWER)
 
     def with_readings(self, model: AreaMeasurements) -> Self:
         other = copy.copy(self)

@@ -73,15 +73,15 @@ def test_areas_of_a_feeder_go_the_centres_way_to_its_estimate(case: Case) -> Non
 
 
 @pytest.mark.thorough
-def test_nine_in_ten_states_on_the_way_are_the_centres_to_1e_9() -> None:
-    """Those of 123 buses all are; others differ by up to 6e-8 before an estimate that is the same to 1e-9."""
+def test_nineteen_in_twenty_states_on_the_way_are_the_centres_to_1e_9() -> None:
+    """Beside delta windings others differ by up to 6e-8 before an estimate that is the same to 1e-9."""
     found = []
     for case in ALL:
         network, partition = case.divide()
         gaps = np.array(assert_goes_the_centres_way(partition, case.read(network), SIGMA[case.decades], LEAST))
-        assert case.name != "ieee123" or (gaps < 1e-9).all()
+        assert case.name in ("ieee37", "4bus-oyod") or (gaps < 1e-9).all()
         found += (gaps < 1e-9).tolist()
-    assert np.mean(found) > 0.9
+    assert np.mean(found) > 0.95
 
 
 @pytest.mark.parametrize("is_rich", [False, *further(True)])
