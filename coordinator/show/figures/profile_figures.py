@@ -75,7 +75,7 @@ def draw_magnitudes(profile: Profile) -> Drawing:
     """Figure of the voltage profile with its limits."""
     low, high = profile.limits.lowest_vm, profile.limits.highest_vm
     *_, (voltages, _) = profile.shown.values()
-    vm = voltages.vm
+    vm = np.where(voltages.vm == 0.0, np.nan, voltages.vm)  # without supply
     drawing = _draw(profile, "magnitudes", "Voltage profile", "voltage magnitude (p.u.)", lambda v: v.vm, (low, high))
     if np.isnan(vm).all():
         return drawing

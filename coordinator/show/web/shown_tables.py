@@ -27,10 +27,11 @@ def draw_tables(tables: Tables, *, has_grid: bool) -> dict[str, Any]:
     """The tables sent with a moment: columns in the order of the grid, or with the ``id`` of each bus, and its
     ``phase`` where there are some, without a grid; columns without any value are left out.
 
-    A voltage to ground without a path to ground is not known.
+    A voltage to ground without a path to ground is not known, and there is none without supply.
     """
     buses, branches, meters = tables
     worst, drawn, place = order_worst_first(meters, MOST_METERS), {name: buses[name] for name in buses.columns}, {}
+    drawn["vm_pu"] = np.where(drawn["vm_pu"] == 0.0, np.nan, drawn["vm_pu"])
     if "grounded" in drawn:
         drawn["vm_pu"] = np.where(drawn["grounded"], drawn["vm_pu"], np.nan)
     if not has_grid:

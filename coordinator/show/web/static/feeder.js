@@ -49,6 +49,7 @@ function pickPainted(moment, grid) {
     worst: worstVoltages(grid, moment.buses),
     loading: largestLoadings(grid, moment.branches),
     freshBranches: freshBranches(grid, moment.branches),
+    switches: Object.assign({}, ...Object.values(moment.view.areas).map((area) => area.switches)),
     cause: moment.causes[0] ?? null,
     links: moment.links,
     dead: findDeadLinks(moment),

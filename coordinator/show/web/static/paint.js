@@ -115,7 +115,8 @@ function paintBranches({ context, grid, moment, choice, at, row, palette }) {
     const isFresh = moment?.freshBranches[k] ?? false, percent = isFresh ? Number(loading[k]?.value ?? 0) : 0, isChosen = choice?.kind === "branch" && choice.id === id;
     const wide = named.has(id) ? 7 : isChosen ? 5 : Math.round(2 * (1.5 + 2.5 * Math.min(1, percent / most))) / 2;
     const ink = percent > most || named.has(id) ? "--bad" : isChosen ? "--mark" : isFresh ? "--faint" : "--line";
-    const style = `${ink} ${wide} ${branches.in_service[k] ? 0 : 4}`;
+    const status = moment?.switches?.[id], isClosed = status ? status === "closed" : branches.in_service[k];
+    const style = `${ink} ${wide} ${isClosed ? 0 : 4}`;
     const found = alike.get(style);
     if (found) found.push([at[from], at[to]]);
     else alike.set(style, [[at[from], at[to]]]);

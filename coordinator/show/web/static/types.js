@@ -13,7 +13,8 @@
  *   lowest_vm: Extreme|null, highest_vm: Extreme|null, worst_meter: Extreme|null, messages: number, lost: number,
  *   bytes: number, exchanges: number, removed: string[], critical: string[], meters_off: string[], objective: number,
  *   degrees_of_freedom: number, oldest_reading_s: number, rejected: Record<string, number>, present: boolean,
- *   fresh: boolean, value_age_s: number|null, silent: boolean, estimated: boolean, ages_s: Record<string, number>}} AreaView
+ *   fresh: boolean, value_age_s: number|null, silent: boolean, estimated: boolean, ages_s: Record<string, number>,
+ *   switches?: Record<string, string>}} AreaView `switches`: switch -> "open" or "closed"
  * @typedef {{known: number, total: number, outside: number, worst: Extreme[], lowest: Extreme|null, highest: Extreme|null}} Spread
  * @typedef {{known: number, total: number, p_kw: number|null, q_kvar: number|null}} Total
  * @typedef {Record<"voltage"|"unbalance"|"loading"|"current"|"residual", Spread> & Record<"head"|"loss"|"load"|"generation", Total> & {has_phases: boolean}} Summary of fresh values; `has_phases`: of nodes and conductors
@@ -36,7 +37,7 @@
  * @typedef {{width: number, height: number, ratio: number, transform: Transform}} View pixels of a picture, and how many of the screen are one
  * @typedef {{colours: Record<string, string>, areas: string[], voltages: string[]}} Palette
  * @typedef {Pick<Moment, "links"|"messages"> & {qualities: Record<string, string>, worst: import("./phases.js").Chosen[],
- *   loading: import("./phases.js").Chosen[], freshBranches: boolean[], dead: import("./links.js").DeadLink[], cause: Cause|null}} PaintedMoment
+ *   loading: import("./phases.js").Chosen[], freshBranches: boolean[], switches: Record<string, string>, dead: import("./links.js").DeadLink[], cause: Cause|null}} PaintedMoment
  * @typedef {{grid: Grid, moment: PaintedMoment|null, choice: Choice|null, view: View, palette: Palette}} Painting
  * @typedef {{canvas?: OffscreenCanvas, changed: Partial<Painting>}} PaintOrder
  */
