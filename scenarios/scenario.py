@@ -21,7 +21,7 @@ from dsse_core.grid.measurement import Measurement, Meter, Source
 from dsse_core.grid.meter_table import KINDS, join_meters, tabulate_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area, Partition
-from dsse_core.grid.switches import keep_meters_in_service
+from dsse_core.grid.switches import keep_in_service, keep_meters_in_service
 from dsse_core.printable import printable
 from dsse_core.reading_rules import ReadingRules
 from scenarios.faults.faults import (
@@ -130,7 +130,9 @@ class Scenario:
         if partition is self.partition:
             return self
         meters = keep_meters_in_service(partition.network, self.meters)
-        return replace(self, network=partition.network, partition=partition, meters=meters)
+        read = keep_in_service(partition.network, self.telemetry.readings)
+        telemetry = replace(self.telemetry, readings=read)
+        return replace(self, network=partition.network, partition=partition, meters=meters, telemetry=telemetry)
 
     def __repr__(self) -> str:
         buses, areas = len(self.network.buses), len(self.partition.areas)

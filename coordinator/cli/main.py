@@ -261,6 +261,8 @@ def powerflow(scenario: str, changes: Mapping[str, object], output: Output) -> N
 @seed_option
 @set_option
 @click.option("--readings", type=click.Path(path_type=Path), metavar="FILE", help="Estimate these readings instead.")
+@click.option("--open", "opened", multiple=True, metavar="ID", help="Count this switch as open; repeatable.")
+@click.option("--close", "closed", multiple=True, metavar="ID", help="Count this switch as closed; repeatable.")
 @output_options
 @figure_options
 @answering_once()
@@ -269,6 +271,8 @@ def estimate(
     seed: int | None,
     changes: Mapping[str, object],
     readings: Path | None,
+    opened: tuple[str, ...],
+    closed: tuple[str, ...],
     output: Output,
     formats: tuple[str, ...] | None,
 ) -> int:
@@ -282,13 +286,14 @@ def estimate(
                dsse estimate ieee33 --json --out results
                dsse estimate ieee33 --readings day.csv --out day
     """
-    from coordinator.lab.evaluation.scan_estimates import load_scans_of, with_one_scan
+    from coordinator.lab.evaluation.scan_estimates import load_scans_of, operate, operate_scans, with_one_scan
     from scenarios.scenario import load_scenario
 
     loaded = load_scenario(scenario, changes=changes, whole=output.is_text)
     loaded = loaded if seed is None else replace(loaded, seed=seed)
+    all_closed, loaded = operate(loaded, (), closed), operate(loaded, opened, closed)
     if readings is not None:
-        scans = load_scans_of(loaded, readings)
+        scans = operate_scans(load_scans_of(all_closed, readings), loaded.network)
         if scans.are_named:
             return _estimate_scans(loaded, scans, output, formats)
         loaded = with_one_scan(loaded, scans)

@@ -19,8 +19,11 @@ from dsse_core.files.bounded_file import read_text
 from dsse_core.grid.columns import Records, take_items
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.meter_table import find_virtual, join_meters
-from dsse_core.grid.partition import Partition
+from dsse_core.grid.network import Network
+from dsse_core.grid.partition import MOST_SHOWN, Partition
+from dsse_core.grid.switches import find_meters_in_service
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
+from dsse_core.printable import listed
 from dsse_core.results.results import MeterReadings, Results, results_of_estimate, results_without_estimate
 from dsse_core.results.scans import ScanTables, make_scan_table
 from dsse_core.results.table import ScanLabel
@@ -112,6 +115,30 @@ class ScanRows:
         plan = self.plan.without(np.flatnonzero(missing).tolist()) if missing.any() else self.plan
         values, sigmas = self.values[row][~missing], self.sigmas[row][~missing]
         return process_bad_data_with_plan(plan, values, sigmas, tolerance=self.tolerance)
+
+
+def operate(scenario: Scenario, opened: Sequence[str], closed: Sequence[str]) -> Scenario:
+    """``scenario`` with switches ``opened`` and ``closed``; readings that it makes are those of that grid.
+
+    Raises:
+        InvalidInputError: naming each id of no switch, and each that is both.
+    """
+    switches = scenario.network.switches
+    known = f"switches are {listed(sorted(switches), MOST_SHOWN)}" if switches else "there is none"
+    cure = "a branch becomes one by `switch = true` in the network file"
+    given = dict.fromkeys([*opened, *closed])
+    problems = [f"there is no switch {switch!r}; {known}; {cure}" for switch in given if switch not in switches]
+    problems += [f"switch {switch} is to be open and closed" for switch in sorted({*opened} & {*closed})]
+    if problems:
+        raise InvalidInputError("--open, --close", problems)
+    return scenario.operated({switch: switch in closed for switch in given})
+
+
+def operate_scans(scans: Scans, network: Network) -> Scans:
+    """``scans`` without the meters at branches that are open in ``network``."""
+    rows = find_meters_in_service(network, scans.meters)
+    meters = take_items(scans.meters, rows)
+    return replace(scans, meters=meters, values=scans.values[:, rows], sigmas=scans.sigmas[:, rows])
 
 
 def load_scans_of(scenario: Scenario, path: Path) -> Scans:
