@@ -347,8 +347,8 @@ def _find_seen(
     table = network.table
     seeing = {row: {*areas} for row, areas in members.areas_at.items()}
     for area, held in enumerate(branches):
-        ends = np.concatenate([end[held] for end in table.end_rows])
-        for row in np.setdiff1d(ends, members.rows[area]).tolist():
+        ends, listed_rows = table.end_rows[:, held], {*members.rows[area].tolist()}
+        for row in sorted({*ends.ravel().tolist()} - listed_rows):
             seeing.setdefault(row, set(members.find_areas(row))).add(area)
     return {int(table.bus_id[row]): (members.find_areas(row), areas) for row, areas in seeing.items()}
 
@@ -422,8 +422,8 @@ def _cut_out(
     for bus, phases in foreign.items():
         buses = _bare(buses, int(np.searchsorted(rows, network.row[bus])), write_phases(phases))
     held = take_items(network.branches, branches)
-    owned = np.setdiff1d(ids[rows], list(foreign))
-    gauge = None if network.table.nodes.is_balanced else network.gauge.within(ids[rows], owned)
+    is_balanced, there = network.table.nodes.is_balanced, ids[rows]
+    gauge = None if is_balanced else network.gauge.within(there, np.setdiff1d(there, list(foreign)))
     generators, loads, shunts = items
     return Network(name, network.base_mva, buses, held, generators, loads, gauge, shunts)
 
