@@ -204,8 +204,8 @@ def test_a_reading_that_is_marked_invalid_moves_no_estimate_and_is_named(strateg
     expected = SimulatedBus(files, without)
     expected.run_until_settled()
 
-    def mark(header, area, measurements):
-        message = make_message(header, area, measurements)
+    def mark(*made_of):
+        message = make_message(*made_of)
         values = tuple(
             9.0 if name == bad else value for name, value in zip(message.meters, message.values, strict=True)
         )
