@@ -33,6 +33,7 @@ from dsse_core.grid.quantities import Quantity
 from dsse_core.grid.supply import FED, Pieces, find_alternatives, find_pieces, find_pieces_for
 from dsse_core.grid.switches import keep_in_service
 from dsse_core.linear import choose_backend
+from dsse_core.linear.area_measurements import Backend
 from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BoundaryInformation, are_within_reason
 from dsse_core.linear.contributions import VoltageReadings
@@ -256,7 +257,10 @@ class AreaEstimation:
         if former is not None and former.meters == meters:
             self._model = former.with_readings(in_use, further)
         else:
-            self._model = replace(build_area_model(self.area, in_use, self._reference), further=further)
+            backend: Backend = "pieces" if self.dead.any() else "auto"  # solves lose digits where a part is dead
+            self._model = replace(
+                build_area_model(self.area, in_use, self._reference, backend=backend), further=further
+            )
         if former is not None:
             former.end()
         if self.is_first:

@@ -43,6 +43,12 @@ def test_so_they_are_where_switches_are_operated(seed: int):
     assert outcome.wrong <= 0.003 * outcome.good
 
 
+@pytest.mark.long
+def test_a_section_without_supply_costs_no_digits_where_areas_solve_sparse_systems():
+    with back_end("sparse"):
+        assert run_history(25, SWITCHING).gap <= GAP
+
+
 def test_a_history_repeats_to_the_bit():
     with back_end("sparse"):
         assert run_history(3) == run_history(3)
