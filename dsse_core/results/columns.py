@@ -140,7 +140,8 @@ class MeterColumns:
     source: Texts
     """`telemetered`, `pseudo`, `virtual`"""
     status: Texts
-    """`used`, `removed` as bad data, `critical` (its errors cannot be seen), `silent` (no reading)"""
+    """`used`, `removed` as bad data, `critical` (its errors cannot be seen), `silent` (no reading), `silent: dead`
+    (without supply)"""
     value_pu: Numbers
     value_deg: Numbers
     value_kw: Numbers
