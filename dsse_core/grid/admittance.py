@@ -161,8 +161,8 @@ def _find_idle(network: Network, reference: int, vm: float, va: float) -> tuple[
     """
     table, ybus = network.table, build_admittance(network, with_shunts=False).ybus
     source = vm * np.exp(1j * (va + PHASE_ANGLE[table.nodes.phase]))
-    is_reached = (table.island == table.island[network.row[reference]])[table.nodes.item]
     given = network.nodes_at(reference)
+    is_reached = np.isin(table.node_island, table.node_island[given])
     free = np.setdiff1d(np.flatnonzero(is_reached), given)
     if len(free):
         y = ybus[free][:, free].tocsc()

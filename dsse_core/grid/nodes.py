@@ -87,9 +87,8 @@ class PhaseRows:
         if self.is_balanced and not np.any(phase):
             return item
         bit = np.left_shift(1, phase)
-        before = np.bitwise_count(self.sets[item] & (bit - 1))
-        is_there = (item >= 0) & (self.sets[item] & bit != 0)
-        return np.where(is_there, self.first[item] + before, -1)
+        sets, first = (np.append(rows, rows.dtype.type(0))[item] for rows in (self.sets, self.first))  # of -1: 0
+        return np.where(sets & bit != 0, first + np.bitwise_count(sets & (bit - 1)), -1)
 
     def of(self, items: np.ndarray) -> np.ndarray:
         """The rows of all phases of ``items`` (k,), item by item."""

@@ -19,7 +19,7 @@ from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Sour
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.meter_table import find_places
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
-from dsse_core.grid.nodes import Primitive
+from dsse_core.grid.nodes import PhaseRows, Primitive
 from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from tests.support.phases import DEEP, coupled_line, make_feeder
@@ -39,6 +39,19 @@ def test_a_bus_has_a_node_for_each_phase_and_a_branch_a_port_at_each_of_them(fee
     assert [feeder.node(645, phase) for phase in ("a", "b", "c")] == [-1, 6, 7]
     assert feeder.nodes_at(632).tolist() == [3, 4, 5]
     assert table.port_node.tolist() == [0, 1, 2, 4, 5, 3, 4, 5, 6, 7]
+
+
+def test_items_without_rows_are_found_nowhere() -> None:
+    for sets, expected in (([], [-1, -1]), ([0b011], [-1, -1])):
+        assert PhaseRows(np.array(sets, dtype=np.int64)).find(np.array([-1, -1]), 1).tolist() == expected
+    assert PhaseRows(np.array([0b011, 0b110])).find(np.array([-1, 1, 0, 0]), 1).tolist() == [-1, 2, 1, 1]
+
+
+def test_a_phase_that_no_branch_joins_to_the_source_has_the_voltage_of_the_source(feeder: Network) -> None:
+    network = replace(feeder, branches=(feeder.branches[0], coupled_line("632-645", (632, 645), "b", 0.1)))
+    vm, va = flat_start(network, 650)
+    assert vm == pytest.approx(np.ones(8), abs=1e-12)
+    assert np.degrees(va[6:]) == pytest.approx([-120, 120], abs=1e-9)
 
 
 def test_currents_at_nodes_are_the_sums_of_the_currents_into_their_ports(feeder: Network) -> None:

@@ -61,6 +61,15 @@ def test_areas_that_agree_have_the_tables_of_the_centralised_estimate(ran: RunRe
     assert not any(np.isnan(ran.tables.areas[c]).any() for c in sigmas)
 
 
+def test_a_centralised_estimate_by_other_statuses_of_switches_lends_no_standard_deviations(ran: RunResult):
+    network, report = ran.scenario.network, ran.centralised
+    branches = tuple(replace(b, switch=b.id == "18-33") for b in network.branches)
+    plan = replace(report.result.plan, network=replace(network, branches=branches))
+    tables = replace(ran, centralised=replace(report, result=replace(report.result, plan=plan))).tables
+    assert np.isnan(tables.branches.sigma_p_from_kw).all()
+    assert not np.isnan(tables.buses.sigma_vm_kv).any()
+
+
 def test_the_balance_of_every_area_is_even_and_imports_add_up_to_nothing(ran: RunResult):
     areas = ran.tables.areas
     for unit in ("kw", "kvar"):
