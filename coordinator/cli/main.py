@@ -291,7 +291,7 @@ def estimate(
 
     loaded = load_scenario(scenario, changes=changes, whole=output.is_text)
     loaded = loaded if seed is None else replace(loaded, seed=seed)
-    all_closed, loaded = operate(loaded, (), closed), operate(loaded, opened, closed)
+    loaded, all_closed = operate(loaded, opened, closed), operate(loaded, (), closed)
     if readings is not None:
         scans = operate_scans(load_scans_of(all_closed, readings), loaded.network)
         if scans.are_named:

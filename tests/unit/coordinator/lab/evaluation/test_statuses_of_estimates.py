@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from coordinator.cli.main import run_command
 from coordinator.lab.evaluation.scan_estimates import estimate_whole_grid, operate, operate_scans, with_one_scan
 from dsse_core.errors import InvalidInputError
 from scenarios.files.readings.file import Scans
@@ -32,3 +33,10 @@ def test_a_branch_that_is_no_switch_and_a_switch_of_two_statuses_are_refused_tog
     first, second = refused.value.problems
     assert first.startswith("there is no switch '7-8'; switches are 18-33; ")
     assert second == "switch 18-33 is to be open and closed"
+
+
+def test_the_command_names_all_wrong_switches_at_once(capsys: pytest.CaptureFixture[str]):
+    assert run_command(["estimate", "ieee33", "--open", "none", "--close", "nowhere"]) == 2
+    written = capsys.readouterr().err
+    assert "no switch 'none'" in written
+    assert "no switch 'nowhere'" in written
