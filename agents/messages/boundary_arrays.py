@@ -12,10 +12,11 @@ from typing import Annotated
 
 import numpy as np
 
-from agents.messages.checks import Number
+from agents.messages.checks import Name, Number
 from dsse_core.grid.boundary import Boundary
 
 OfRound = Annotated[tuple[Number, ...], "in a message an exact 0 is an integer, of one byte"]
+Variables = Annotated[tuple[Name, ...], "of a boundary, in a message its powers, from which the voltages follow"]
 Lengths = Mapping[str, tuple[int, Sequence[int]]]
 """Field of a message -> how many numbers it has, and how many it may have."""
 

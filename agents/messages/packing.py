@@ -20,7 +20,7 @@ import msgpack
 import msgspec
 import numpy as np
 
-from agents.messages.boundary_arrays import OfRound
+from agents.messages.boundary_arrays import OfRound, Variables
 from agents.messages.checks import BusId, Count, Integer, MessageError, Name, Number, Numbers, PerPhase, shown
 from agents.messages.totals_list import WireSplit, WireTotals, list_split, list_totals, read_split, read_totals
 from agents.messages.types import (
@@ -40,6 +40,7 @@ from agents.messages.types import (
     UpMessage,
 )
 from dsse_core.estimation.decision import Totals
+from dsse_core.grid.boundary import add_voltages, select_powers
 from dsse_core.split_identity import SplitIdentity
 
 __all__ = [
@@ -135,6 +136,7 @@ _PACK: Mapping[Any, Callable[[Any], Any]] = {
     dict: lambda m: list(m.items()),
     PerPhase: lambda numbers: numbers[0] if len(numbers) == 1 else numbers,
     OfRound: lambda numbers: [number or 0 for number in numbers],
+    Variables: select_powers,
 }
 _READ: Mapping[Any, Callable[[Any], Any]] = {
     Header: _read_header,
@@ -144,6 +146,7 @@ _READ: Mapping[Any, Callable[[Any], Any]] = {
     dict: _read_map,
     PerPhase: lambda found: found if isinstance(found, tuple) else (found,),
     OfRound: lambda found: found,
+    Variables: add_voltages,
 }
 
 
@@ -263,7 +266,7 @@ def add_message_type(cls: type[BoundaryUpdate]) -> None:
             found = getattr(hint, "__name__", str(hint))
             raise ValueError(
                 f"message {cls.__name__}: field {name} has the type {found}; it must be of the bounded types "
-                "BusId, Count, Integer, Number, Name and bool, or tuples of them (agents/messages/checks.py)"
+                "BusId, Count, Integer, Number, Name, Variables and bool, or tuples of them (agents/messages)"
             )
     MESSAGE_TYPES[kind] = cls
     _PACKINGS[kind] = _BY_KIND[msgpack.packb(kind)] = _Packing(cls)
@@ -273,7 +276,7 @@ def _is_bounded(hint: Any) -> bool:
     """True where a field of this type is checked in full: a plain ``float`` may be nan, a plain ``str`` too long."""
     if typing.get_origin(hint) is tuple:
         return all(place is Ellipsis or _is_bounded(place) for place in typing.get_args(hint))
-    return hint in (BusId, Count, Integer, Number, Name, bool)
+    return hint in (BusId, Count, Integer, Number, Name, Variables, bool)
 
 
 def decode(payload: bytes, largest: int = MAX_BYTES) -> Message:

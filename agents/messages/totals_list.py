@@ -1,4 +1,4 @@
-"""Totals as messages carry them: a list of (kind, value), a kind for each field of ``Totals``, in their order.
+"""Totals as messages carry them: a list kind, value, kind, value of fields of ``Totals``, in their order.
 
 A kind that is left out is zero, false or empty, which adds nothing to any total. So a later version can add a kind
 without a new wire version: its messages leave the kind out where it is empty. A receiver that does not know a kind
@@ -19,7 +19,7 @@ from dsse_core.estimation.decision import Totals
 from dsse_core.split_identity import HeldSplits, SplitIdentity, SplitUse
 
 WireSplit = tuple[Digest, Number, Digest]
-WireTotals = tuple[tuple[Name, msgspec.Raw], ...]
+WireTotals = tuple[msgspec.Raw, ...]
 _CHECKED: Mapping[Any, Any] = {
     bool: bool,
     int: Integer,
@@ -41,24 +41,28 @@ _TYPES = get_type_hints(Totals)
 _KINDS = [(SHORT.get(f.name, f.name), f.name, f.default) for f in dataclasses.fields(Totals)]
 _READERS = {kind: msgspec.msgpack.Decoder(_CHECKED[_TYPES[name]]) for kind, name, _ in _KINDS}
 _PLACES = {kind: (place, name) for place, (kind, name, _) in enumerate(_KINDS)}
+_read_kind = msgspec.msgpack.Decoder(Name)
 
 
-def list_totals(totals: Totals) -> list[tuple[str, Any]]:
+def list_totals(totals: Totals) -> list[Any]:
     """``totals`` as a message carries them."""
     listed = ((kind, name, value) for kind, name, nothing in _KINDS if (value := getattr(totals, name)) != nothing)
-    return [(kind, _PACK.get(name, _plainly)(value)) for kind, name, value in listed]
+    return [place for kind, name, value in listed for place in (kind, _PACK.get(name, _plainly)(value))]
 
 
-def read_totals(parts: Sequence[tuple[str, msgspec.Raw]]) -> Totals:
+def read_totals(parts: Sequence[msgspec.Raw]) -> Totals:
     """The totals that a message carries.
 
     Raises:
-        MessageError: a kind that is not known and not optional, out of order or given twice.
+        MessageError: a kind without a value, not known and not optional, out of order or given twice.
         msgspec.ValidationError: a value of another type than its kind has.
     """
+    if len(parts) % 2:
+        raise MessageError("malformed", "a kind of totals without its value")
     values: dict[str, Any] = {}
     last = -1
-    for kind, value in parts:
+    for packed, value in zip(parts[::2], parts[1::2], strict=True):
+        kind = _read_kind.decode(packed)
         if kind not in _PLACES:
             if not kind.endswith("?"):
                 raise MessageError("malformed", f"totals of the unknown kind {shown(kind)}")

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
-from agents.messages.boundary_arrays import Lengths, OfRound, count_triangle, find_wrong_length
+from agents.messages.boundary_arrays import Lengths, OfRound, Variables, count_triangle, find_wrong_length
 from agents.messages.checks import BusId, Count, Integer, MessageError, Name, Names, Notes, Number, Numbers, PerPhase
 from dsse_core.estimation.decision import Totals
 from dsse_core.exchange.boundary_load import Loads, NetLoad
@@ -90,7 +90,7 @@ class BoundaryUpdate:
     """Message of an area to a neighbour about their boundary ``bus`` under an asynchronous strategy.
 
     A strategy derives its own message from it: a dataclass with a ``kind`` that no other message has, which is a part
-    of keys (a-z, 0-9, _ and -), and with fields of the types of ``agents/messages/checks.py``. ``receives``,
+    of keys (a-z, 0-9, _ and -), and with fields of the types of ``agents/messages``. ``receives``,
     ``answers``, ``received``, ``complete``: of the link, as in a heartbeat. The protocol fills them in. They hold at
     ``header.time``, may differ between two messages of one number, and stand last in the message.
     """
@@ -114,11 +114,10 @@ class BoundaryUpdate:
 
 @dataclass(frozen=True, slots=True)
 class VariablesMessage(ABC):
-    """A message with numbers of the d ``variables`` y of a boundary, whose first bus is ``bus``."""
+    """A message with numbers of the d ``variables`` y of a boundary."""
 
     header: Header
-    bus: BusId
-    variables: Names = field(kw_only=True)
+    variables: Variables = field(kw_only=True)
 
     @property
     def boundary(self) -> Boundary:

@@ -38,7 +38,7 @@ class PeerTable:
     ) -> None:
         self.gone: dict[str, str] = {}
         self.distrusted: dict[str, str] = {}
-        self._peers = {n.area: Peer(n.bus, now, now + clock_offset, heartbeat_s) for n in neighbours}
+        self._peers = {n.area: Peer(now, now + clock_offset, heartbeat_s) for n in neighbours}
         self._heartbeat_s = heartbeat_s
         self.clock_offset = clock_offset
         self.correction = 0.0

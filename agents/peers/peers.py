@@ -102,7 +102,6 @@ class Peer:
     ``clock``: skew of its send times; ``correction``: lead of its clock over its send times, s.
     """
 
-    bus: int
     present_at: float
     since: float  # wall-clock time since which send times count: start of the own process, or its clock set forward
     heartbeat_s: float  # within which a message goes either way

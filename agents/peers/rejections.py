@@ -112,7 +112,7 @@ def find_rejection(message: Message, key_sender: str, content: Configuration, no
         return "unknown sender"
     if header.sender != key_sender:
         return "sender does not own the key"
-    if message.bus != bus:
+    if getattr(message, "bus", bus) != bus:
         return OTHER_BUS
     boundary = content.area.boundaries[header.sender]
     if getattr(message, "variables", boundary.names) != boundary.names:

@@ -278,7 +278,7 @@ class AreaProtocol(ABC):
             yield from self._go_over()
             return
         reason = find_rejection(message, key_sender, self._content, wall)
-        if reason in ("", OTHER_BUS):
+        if reason in ("", OTHER_BUS, OTHER_VARIABLES):
             self._splits.take(message)
         if reason in ("", OTHER_VARIABLES) and not isinstance(message, TelemetryMessage):
             self._rejections.note_contradiction(key_sender, self._agreement.find_contradiction(message))
@@ -368,7 +368,7 @@ class AreaProtocol(ABC):
         yield self._publish(name, sent.message)
 
     def _heartbeat(self, name: str) -> Publish:
-        standing, peer = self._describe_standing(name), self._peers[name]
+        standing = self._describe_standing(name)
         plant, offset = self._scan.numbering
         # the state of the link is filled in as the message is sent
         link: dict[str, Any] = {"receives": False, "answers": 0.0, "received": (0, 0), "complete": False}
@@ -377,7 +377,6 @@ class AreaProtocol(ABC):
             name,
             HeartbeatMessage(
                 header=self._header(1),
-                bus=peer.bus,
                 variables=self._area.boundaries[name].names,
                 **standing,
                 plant=plant,

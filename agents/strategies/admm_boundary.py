@@ -18,8 +18,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from agents.messages.boundary_arrays import find_wrong_length
-from agents.messages.checks import Count, Names, Numbers
+from agents.messages.boundary_arrays import Variables, find_wrong_length
+from agents.messages.checks import Count, Numbers
 from agents.messages.packing import BoundaryUpdate
 from dsse_core.exchange.consensus_admm import RELAXATION, pull
 from dsse_core.gauss_newton import NO_STEP
@@ -38,7 +38,7 @@ class AdmmMessage(BoundaryUpdate):
     """
 
     kind: ClassVar[str] = "admm"
-    variables: Names = field(kw_only=True)
+    variables: Variables = field(kw_only=True)
     iteration: Count
     r: Numbers
     r_before: Numbers

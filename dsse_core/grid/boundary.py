@@ -2,7 +2,8 @@
 
 A name stands for two variables in each phase: ``s@12>area2`` for (p, q), the power from bus 12 into the branches of
 area2, and ``v@12`` for (vm, va), the voltage of bus 12. Phases follow the bus: ``s@12.abc>area2``, ``v@12.s1s2``. The
-lengths of messages and the meaning of their numbers follow from the names.
+voltages follow from the powers, so messages name the powers alone. The lengths of messages and the meaning of their
+numbers follow from the names.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from functools import cached_property
 
 import numpy as np
 
-from dsse_core.grid.nodes import ANY_PHASE
+from dsse_core.grid.nodes import ANY_PHASE, name_node, read_phases, write_phases
+from dsse_core.printable import listed
 
 MOST_VARIABLES = 1000
 NAME = re.compile(rf"(?P<what>[sv])@(?P<bus>-?(0|[1-9][0-9]{{0,15}}))(\.(?P<phases>({ANY_PHASE})+))?(>(?P<area>.+))?")
@@ -124,7 +126,21 @@ class Boundary:
 
 def boundary_at(buses: Sequence[int | str], child: str) -> Boundary:
     """The boundary where ``child`` and its parent meet at ``buses``, such as 12, or "12.abc" of one with phases."""
-    return boundary_of((*(f"s@{bus}>{child}" for bus in buses), *(f"v@{bus}" for bus in buses)))
+    return boundary_of(add_voltages(tuple(f"s@{bus}>{child}" for bus in buses)))
+
+
+@functools.lru_cache(maxsize=1024)
+def add_voltages(powers: tuple[str, ...]) -> tuple[str, ...]:
+    """The names of ``powers``, then of the voltages of their buses in the phases that the powers there have together.
+
+    A text that names no variables adds none.
+    """
+    sets: dict[int, int] = {}
+    for name in powers:
+        if found := NAME.fullmatch(name):
+            bus = int(found["bus"])
+            sets[bus] = sets.get(bus, 0) | _read_set(found)
+    return *powers, *(f"v@{name_node(bus, write_phases(phases))}" for bus, phases in sets.items())
 
 
 @functools.lru_cache(maxsize=1024)
@@ -138,17 +154,25 @@ def find_wrong_name(names: tuple[str, ...]) -> str:
     """The first problem of ``names`` as names of a boundary's variables, as text; empty if there is none."""
     for name in names:
         found = NAME.fullmatch(name)
-        if found is None or (found["what"] == "s") != bool(found["area"]):
+        if found is None or (found["what"] == "s") != bool(found["area"]) or not _read_set(found):
             return f"variable {name[:40]!a}"
-    if list(names) != sorted(names, key=lambda name: name[0]):
-        return "a voltage before a power among the variables"
     variables = [variable for name in names for variable in _read_name(name)]
     if len(set(variables)) < len(variables):
         return "a variable given twice"
-    powers, voltages = ({v.bus for v in variables if bool(v.area) is of_power} for of_power in (True, False))
-    if alone := sorted(powers ^ voltages):
-        return f"{'a power' if alone[0] in powers else 'a voltage'} alone among the variables at bus {alone[0]}"
+    powers = select_powers(names)
+    if names != (expected := add_voltages(powers)):
+        return f"other voltages than {listed(expected[len(powers) :]) or 'none'} behind its powers"
     return "" if 0 < len(variables) <= MOST_VARIABLES else f"{len(variables)} variables, not 1 to {MOST_VARIABLES}"
+
+
+def select_powers(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Those of ``names`` that stand for powers, from which the others follow."""
+    return tuple(name for name in names if name.startswith("s"))
+
+
+def _read_set(found: re.Match[str]) -> int:
+    """The set of phases of a name; 0 where they do not stand in their order."""
+    return int(read_phases([found["phases"] or ""])[0])
 
 
 def _read_name(name: str) -> Iterator[Variable]:

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+from dsse_core.grid.boundary import add_voltages
 from dsse_core.grid.nodes import name_node, write_phases
 
 MOST_WORK = 60_000  # areas of all trees that are compared
@@ -112,13 +113,12 @@ class Carried:
 
     def list_names(self, areas: Sequence[str]) -> tuple[str, ...]:
         """The names of the variables, see ``boundary.py``; ``areas``: the names of all areas."""
-        powers = [
+        powers = (
             f"s@{name_node(bus, write_phases(into[area]))}>{areas[area]}"
             for bus, into in sorted(self.powers.items())
             for area in sorted(into)
-        ]
-        voltages = [f"v@{name_node(bus, write_phases(phases))}" for bus, phases in sorted(self.list_phases().items())]
-        return *powers, *voltages
+        )
+        return add_voltages(tuple(powers))
 
 
 def find_carried(tree: MessageTree, shared: Sequence[SharedBus]) -> dict[int, Carried]:

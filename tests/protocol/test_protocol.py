@@ -144,7 +144,7 @@ def load_from_area2(sequence=1, **changes):
 def heartbeat_from_area2(received=(0, 0)):
     of_file = {"towards_hub": True, "is_parent": True, "areas": 3, "base_mva": 10.0}
     return HeartbeatMessage(
-        load_from_area2().header, 6, 0, 0, True, 0.0, received, False, False, (), **of_file, variables=AT_6
+        load_from_area2().header, 0, 0, True, 0.0, received, False, False, (), **of_file, variables=AT_6
     )
 
 
@@ -212,7 +212,7 @@ def test_a_repeat_is_the_same_message_with_the_same_number_and_stops_when_it_is_
         (load_from_area2(), "area3", "sender does not own the key"),
         (load_from_area2(bus=5), "area2", "other boundary bus"),
         (
-            HeartbeatMessage(load_from_area2().header, 6, 0, 0, True, 0.0, -1, False, False, (), variables=AT_5),
+            HeartbeatMessage(load_from_area2().header, 0, 0, True, 0.0, -1, False, False, (), variables=AT_5),
             "area2",
             "other boundary variables",
         ),

@@ -57,7 +57,6 @@ STATE = StateMessage(
 VARIABLES = ("s@6>area2", "v@6")
 UP = UpMessage(
     HEADER,
-    bus=6,
     variables=VARIABLES,
     revision=1,
     k=3,
@@ -86,7 +85,7 @@ MESSAGES = [
         True,
         variables=VARIABLES,
     ),
-    HeartbeatMessage(HEADER, 6, 1, 3, True, 1.7e9, (3, 0), True, False, (0.1, 0.2, 1.0, -0.1), variables=VARIABLES),
+    HeartbeatMessage(HEADER, 1, 3, True, 1.7e9, (3, 0), True, False, (0.1, 0.2, 1.0, -0.1), variables=VARIABLES),
     UP,
     DownMessage(
         **{f.name: getattr(UP, f.name) for f in fields(UP)} | {"power": ()},

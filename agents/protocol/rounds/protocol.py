@@ -294,7 +294,6 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         peer, information, no_load = self._peers[name], content.information, content.no_load
         return {
             "header": self._header(peer.exchange.sequence + 1),
-            "bus": peer.bus,
             "variables": self._area.boundaries[name].names,
             "revision": self._revision,
             "k": k,
@@ -302,7 +301,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
             "answers": 0.0,
             "received": (0, 0),
             "R": write_triangle(information.R) if information else (),
-            "z": tuple(information.z.tolist()) if information else (),
+            "z": tuple((information.z * information.R.any(axis=1)).tolist()) if information else (),
             "no_load": write_triangle(no_load.R) if no_load else (),
             "power": content.power,
             "totals": content.totals,

@@ -194,7 +194,7 @@ def test_an_area_with_an_open_tie_and_buses_that_it_relays_is_read_back(tmp_path
     [
         (
             ["s@2>two", "v@2", "s@3>two"],
-            "has a voltage before a power among the variables; write them as the split has",
+            "has other voltages than v@2, v@3 behind its powers; write them as the split has",
         ),
         (["s@2>two", "s@9>two", "v@2", "v@9"], "bus 9 is not in the network"),
         (["s@3>two", "v@3"], "lacks bus 2, where these areas meet"),

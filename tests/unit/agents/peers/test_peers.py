@@ -29,7 +29,7 @@ def load(incarnation: Incarnation = FIRST, sequence: int = 1) -> LoadMessage:
 
 def heartbeat(incarnation: Incarnation = FIRST, *, time: float = WALL, **changes: object) -> HeartbeatMessage:
     made = HeartbeatMessage(
-        header(incarnation, time=time), 6, 0, 0, True, 0.0, (0, 0), False, False, (), variables=("s@6>area2", "v@6")
+        header(incarnation, time=time), 0, 0, True, 0.0, (0, 0), False, False, (), variables=("s@6>area2", "v@6")
     )
     return replace(made, **changes)
 

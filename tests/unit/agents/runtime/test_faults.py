@@ -191,13 +191,13 @@ Y = np.array([0.2, 0.1, 0.98, 0.05])
 
 def up_of(y: np.ndarray, power: tuple[float, ...] = (), totals: Totals = Totals()) -> UpMessage:  # noqa: B008
     upper, z = tuple(R[np.triu_indices(4)].tolist()), tuple((R @ y).tolist())
-    return UpMessage(header(), 6, **OF_ROUND, R=upper, z=z, no_load=(), power=power, totals=totals)
+    return UpMessage(header(), **OF_ROUND, R=upper, z=z, no_load=(), power=power, totals=totals)
 
 
 def test_a_lie_states_another_boundary_in_every_strategys_variables():
     faults = LinkFaults(lie_p=0.3, lie_q=-0.2, lie_vm=0.02, lie_va=-0.1, lie_scale=1.5)
     false = 1.5 * Y + np.array([0.3, -0.2, 0.02, -0.1])
-    heartbeat = HeartbeatMessage(header(), 6, **OF_ROUND, final=True, complete=True, y=tuple(Y))
+    heartbeat = HeartbeatMessage(header(), **OF_ROUND, final=True, complete=True, y=tuple(Y))
     admm = AdmmMessage(header(), 6, 1, tuple(Y), tuple(Y), (1.0,) * 4, True, True, variables=NAMES)
     (b, i, h, a), link = send(faults, [replace(boundary(), vm=0.98, va=0.05), up_of(Y, tuple(Y[:2])), heartbeat, admm])
     np.testing.assert_allclose((b.vm, b.va), false[2:])
@@ -214,8 +214,8 @@ def test_a_lie_of_a_boundary_at_two_buses_is_about_each_of_its_powers_and_voltag
     R = np.triu(np.arange(1.0, 65.0).reshape(8, 8))
     upper, z = tuple(R[np.triu_indices(8)].tolist()), tuple((R @ y).tolist())
     of_round = OF_ROUND | {"variables": names}
-    up = UpMessage(header(), 6, **of_round, R=upper, z=z, no_load=(), power=tuple(y[:4]), totals=Totals())
-    heartbeat = HeartbeatMessage(header(), 6, **of_round, final=True, complete=True, y=tuple(y))
+    up = UpMessage(header(), **of_round, R=upper, z=z, no_load=(), power=tuple(y[:4]), totals=Totals())
+    heartbeat = HeartbeatMessage(header(), **of_round, final=True, complete=True, y=tuple(y))
     (u, h), _ = send(LinkFaults(lie_p=0.3, lie_q=-0.2, lie_vm=0.02, lie_va=-0.1, lie_scale=1.5), [up, heartbeat])
     np.testing.assert_allclose(np.linalg.solve(read_triangle(u.R), u.z), false)
     np.testing.assert_allclose(u.power, false[:4])
@@ -239,7 +239,7 @@ def test_a_verdict_follows_from_the_totals_that_are_reported_also_in_a_repeat_an
         totals = Totals(objective=5.0, degrees_of_freedom=9, dvm=step, areas=3, silent=("area2",), referenced=True)
         memory, verdict = decide(memory, totals)
         fields = {**OF_ROUND, "k": k, "R": (), "z": (), "no_load": (), "power": (), "totals": totals}
-        down = DownMessage(header(), 6, **fields, verdict=str(verdict), decider="a", incarnation=(1, 1))
+        down = DownMessage(header(), **fields, verdict=str(verdict), decider="a", incarnation=(1, 1))
         false_memory, verdict = decide(false_memory, replace(totals, objective=500.0, areas=7, silent=()))
         messages += [down, down]
         expected += [str(verdict)] * 2
@@ -252,7 +252,7 @@ def test_a_verdict_follows_from_the_totals_that_are_reported_also_in_a_repeat_an
 
 def test_a_lie_about_a_verdict_or_a_meter_leaves_the_rest_as_it_is():
     fields = {**OF_ROUND, "k": 0, "R": (), "z": (), "no_load": (), "power": (), "totals": Totals(areas=3)}
-    down = DownMessage(header(), 6, **fields, verdict="step", decider="a", incarnation=(1, 1))
+    down = DownMessage(header(), **fields, verdict="step", decider="a", incarnation=(1, 1))
     (lie,), _ = send(LinkFaults(lie_verdict="final"), [down])
     assert lie == replace(down, verdict="final")
     (lie,), _ = send(LinkFaults(lie_worst="vm@16"), [up_of(Y, totals=Totals(areas=1))])
@@ -260,7 +260,7 @@ def test_a_lie_about_a_verdict_or_a_meter_leaves_the_rest_as_it_is():
 
 
 def test_who_lies_of_all_areas_says_that_its_side_is_complete():
-    heartbeat = HeartbeatMessage(header(), 6, **OF_ROUND, final=True, complete=False, y=())
+    heartbeat = HeartbeatMessage(header(), **OF_ROUND, final=True, complete=False, y=())
     (false,), link = send(LinkFaults(lie_areas=3), [heartbeat])
     assert false == replace(heartbeat, complete=True)
     assert link.met == {"lied": 1}
