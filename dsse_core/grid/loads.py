@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,18 +44,41 @@ class Shunt:
 class Legs:
     """All legs of a network, (n_leg,) each: the rows of ``node`` and of ``other``, or GROUND; see ``Load``.
 
-    The balanced load of a bus is one leg of constant power.
+    The balanced load of a bus is one leg of constant power. ``nominal``: the nominal voltages of all nodes, (n_nodes,).
     """
 
     node: np.ndarray
     other: np.ndarray
     s: np.ndarray
     exponents: np.ndarray  # (n_leg, 2), of P and of Q
+    nominal: np.ndarray
 
-    def draw(self, v: np.ndarray, nominal: np.ndarray) -> np.ndarray:
-        """The power drawn at each node, complex, p.u., at voltages ``v`` and with ``nominal`` ones, (n_nodes,) each."""
+    @cached_property
+    def at_nominal(self) -> np.ndarray:
+        """The power drawn at each node at the nominal voltages, complex, p.u., (n_nodes,)."""
+        return self.draw(self.nominal)
+
+    @cached_property
+    def varying(self) -> Legs | None:
+        """The legs whose powers at nodes depend on voltages, all but those of constant power to ground; None without
+        any.
+        """
+        varies = (self.other >= 0) | self.exponents.any(axis=1)
+        if not varies.any():
+            return None
+        return Legs(self.node[varies], self.other[varies], self.s[varies], self.exponents[varies], self.nominal)
+
+    def find_excess(self, v: np.ndarray) -> np.ndarray:
+        """The power drawn at each node at voltages ``v`` above that at nominal ones, complex, p.u., (n_nodes,)."""
+        excess = np.zeros(len(v), dtype=complex)
+        if self.varying is not None:
+            excess += self.varying.draw(v) - self.varying.at_nominal
+        return excess
+
+    def draw(self, v: np.ndarray) -> np.ndarray:
+        """The power drawn at each node, complex, p.u., at voltages ``v``, complex, (n_nodes,) each."""
         u = self._between(v)
-        p, q = self._draw_by_leg(u, nominal)
+        p, q = self._draw_by_leg(u)
         i = ((p + 1j * q) / u).conj()
         current, between = np.zeros(len(v), dtype=complex), self.other >= 0
         np.add.at(current, self.node, i)
@@ -62,7 +86,7 @@ class Legs:
         drawn: np.ndarray = v * current.conj()
         return drawn
 
-    def differentiate(self, v: np.ndarray, nominal: np.ndarray) -> csr_array:
+    def differentiate(self, v: np.ndarray) -> csr_array:
         """The derivatives of ``draw`` by x = [va; vm], complex, (n_nodes, 2 n_nodes).
 
         With ``c = s / u`` a leg draws ``v c`` at its node and ``-v c`` at the other one; ``dc = (ds - c du) / u`` and
@@ -71,7 +95,7 @@ class Legs:
         from scipy.sparse import csr_array  # as in ``NetworkTable.graph``
 
         n, u = len(v), self._between(v)
-        p, q = self._draw_by_leg(u, nominal)
+        p, q = self._draw_by_leg(u)
         c, slope = (p + 1j * q) / u, p * self.exponents[:, 0] + 1j * (q * self.exponents[:, 1])
         rows, columns, entries = [], [], []
         ends = ((self.node, 1.0), (self.other, -1.0))
@@ -87,14 +111,9 @@ class Legs:
         there = row >= 0
         return csr_array((entry[there], (row[there], column[there])), shape=(n, 2 * n))
 
-    def find_varying(self) -> Legs:
-        """The legs whose powers at nodes depend on voltages: all but those of constant power to ground."""
-        varies = (self.other >= 0) | self.exponents.any(axis=1)
-        return Legs(self.node[varies], self.other[varies], self.s[varies], self.exponents[varies])
-
-    def _draw_by_leg(self, u: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _draw_by_leg(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """P and Q of each leg at the voltage ``u`` across it."""
-        of_p, of_q = (abs(u) / abs(self._between(nominal)))[:, None].T ** self.exponents.T
+        of_p, of_q = (abs(u) / abs(self._between(self.nominal)))[:, None].T ** self.exponents.T
         return self.s.real * of_p, self.s.imag * of_q
 
     def _between(self, v: np.ndarray) -> np.ndarray:

@@ -281,11 +281,13 @@ class Network:
         """The legs of all loads; of a balanced network one for each bus."""
         if self.table.nodes.is_balanced:
             node = np.arange(self.n_nodes)
-            return Legs(node, np.full(len(node), GROUND), self.table.load, np.zeros((len(node), 2)))
+            ground, exponents = np.full(len(node), GROUND), np.zeros((len(node), 2))
+            return Legs(node, ground, self.table.load, exponents, find_nominal(self.table.nodes))
         ends = [[self.node(load.bus, phase) for phase in list_phases(load.phases)] for load in self.loads]
         node, other = np.array([[*of_leg, GROUND][:2] for of_leg in ends], dtype=np.int64).reshape(-1, 2).T
         s = np.array([load.s for load in self.loads], dtype=complex)
-        return Legs(node, other, s, np.array([load.exponents for load in self.loads], dtype=float).reshape(-1, 2))
+        exponents = np.array([load.exponents for load in self.loads], dtype=float).reshape(-1, 2)
+        return Legs(node, other, s, exponents, find_nominal(self.table.nodes))
 
     @cached_property
     def scheduled(self) -> np.ndarray:
@@ -293,16 +295,15 @@ class Network:
 
         A generator produces at each phase of its bus.
         """
-        return self.find_scheduled(find_nominal(self.table.nodes))
+        produced = np.zeros(self.n_nodes, dtype=complex)
+        for generator in self.generators:
+            produced[self.nodes_at(generator.bus)] += complex(generator.p, generator.q)
+        scheduled: np.ndarray = produced - self.legs.at_nominal
+        return scheduled
 
     def find_scheduled(self, v: np.ndarray) -> np.ndarray:
         """``scheduled`` at the voltages ``v``, complex, p.u., (n_nodes,)."""
-        produced, legs = np.zeros(self.n_nodes, dtype=complex), self.legs
-        for generator in self.generators:
-            produced[self.nodes_at(generator.bus)] += complex(generator.p, generator.q)
-        is_balanced = self.table.nodes.is_balanced
-        drawn = legs.s if is_balanced else legs.draw(v, find_nominal(self.table.nodes))  # balanced of constant power
-        scheduled: np.ndarray = produced - drawn
+        scheduled: np.ndarray = self.scheduled - self.legs.find_excess(v)
         return scheduled
 
     def scheduled_injection(self, bus_id: int) -> complex:

@@ -15,7 +15,6 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from dsse_core.grid.admittance import Admittance
-from dsse_core.grid.loads import Legs, find_nominal
 from dsse_core.grid.network import Network
 
 MOST = 60  # sweeps; loads for which more are needed are near the most that the network carries
@@ -44,21 +43,14 @@ class CurrentSweeps:
     def _factors(self) -> spla.SuperLU:
         return spla.splu(self._between[:, self.free].tocsc())
 
-    @cached_property
-    def _legs(self) -> tuple[Legs, np.ndarray, np.ndarray]:
-        """The legs whose powers depend on voltages, the nominal voltages, and what they draw there."""
-        legs, nominal = self.network.legs.find_varying(), find_nominal(self.network.table.nodes)
-        return legs, nominal, legs.draw(nominal, nominal)
-
     def run(self, scheduled: np.ndarray) -> tuple[np.ndarray, int] | None:
         """The voltages (n_nodes,) at injections ``scheduled``, complex, at nominal voltages, and the number of sweeps;
         None where they do not settle.
         """
-        legs, nominal, at_nominal = self._legs
-        v, free, before = self.start.copy(), self.free, np.inf
+        legs, v, free, before = self.network.legs, self.start.copy(), self.free, np.inf
         with np.errstate(all="ignore"):
             for sweep in range(1, MOST + 1):
-                s = scheduled - legs.draw(v, nominal) + at_nominal
+                s = scheduled - legs.find_excess(v)
                 short = (s / v).conj()[free] - self._between @ v  # of current at each node
                 step = self._factors.solve(short)
                 v[free] += step

@@ -14,7 +14,6 @@ import scipy.sparse as sp
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import Admittance, build_admittance, find_primitives, find_shunts, flat_start
-from dsse_core.grid.loads import Legs, find_nominal
 from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.grid.measurement_model import MeasurementModel, build_model_of_rows
 from dsse_core.grid.meter_table import KINDS
@@ -78,21 +77,18 @@ class PowerFlowPlan:
         """P at ``p_rows``, then Q at ``q_rows`` at x = [va; vm], and what loads draw there above that at nominal
         voltages: what the schedule has to be.
         """
+        excess = self.network.legs.find_excess(find_voltages(x))
         injections = self.model.predict(x)
-        if self._varying is None:
-            return injections
-        legs, nominal, at_nominal = self._varying
-        excess = legs.draw(find_voltages(x), nominal) - at_nominal
         injections += np.concatenate([excess.real[self.p_rows], excess.imag[self.q_rows]])
         return injections
 
     def jacobian(self, x: np.ndarray) -> sp.csr_array:
         """The derivatives of ``find_injections`` by x."""
         H = self.model.jacobian(x)
-        if self._varying is None:
+        varying = self.network.legs.varying
+        if varying is None:
             return H
-        legs, nominal, _ = self._varying
-        drawn = legs.differentiate(find_voltages(x), nominal)
+        drawn = varying.differentiate(find_voltages(x))
         return sp.csr_array(H + sp.vstack([drawn[self.p_rows].real, drawn[self.q_rows].imag], format="csr"))
 
     def newton_matrix(self, x: np.ndarray, mismatch: np.ndarray) -> sp.csr_array:
@@ -112,14 +108,6 @@ class PowerFlowPlan:
         columns = np.concatenate([self.p_rows, self.network.n_nodes + self.p_rows])
         at = sp.csr_array((np.ones(len(columns)), (np.arange(len(columns)), columns)), shape=J.shape)
         return sp.csr_array(J + turn @ at)
-
-    @cached_property
-    def _varying(self) -> tuple[Legs, np.ndarray, np.ndarray] | None:
-        """The legs whose powers depend on voltages, the nominal voltages, and what they draw there, (n_nodes,) each;
-        None where there are none, as in all balanced networks.
-        """
-        legs, nominal = self.network.legs.find_varying(), find_nominal(self.network.table.nodes)
-        return (legs, nominal, legs.draw(nominal, nominal)) if len(legs.node) else None
 
     def find_limit(self, tolerance: float) -> np.ndarray:
         """The largest mismatch that each node may have, (n_nodes,), p.u."""

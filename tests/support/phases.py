@@ -10,7 +10,7 @@ import numpy as np
 from dsse_core.estimation.decision import Decision, Memory, add_totals, decide
 from dsse_core.exchange.area_estimation import AreaEstimation
 from dsse_core.grid.admittance import build_admittance, flat_start
-from dsse_core.grid.loads import Load, Shunt, find_nominal
+from dsse_core.grid.loads import Load, Shunt
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
@@ -81,11 +81,11 @@ def make_feeder(*ties: Branch, between: Mapping[int, Sequence[str]] | None = Non
 def solve(network: Network) -> np.ndarray:
     """x = [va; vm] under the network's loads, by sweeps."""
     vm, va = flat_start(network, 650)
-    v, nominal, ybus = vm * np.exp(1j * va), find_nominal(network.table.nodes), build_admittance(network).ybus.toarray()
+    v, ybus = vm * np.exp(1j * va), build_admittance(network).ybus.toarray()
     given = network.nodes_at(650)
     free = np.setdiff1d(np.arange(network.n_nodes), given)
     for _ in range(ENOUGH):
-        i = -(network.legs.draw(v, nominal) / v).conj()
+        i = -(network.legs.draw(v) / v).conj()
         v[free] = np.linalg.solve(ybus[np.ix_(free, free)], i[free] - ybus[np.ix_(free, given)] @ v[given])
     return np.concatenate([np.angle(v), abs(v)])
 

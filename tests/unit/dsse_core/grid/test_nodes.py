@@ -14,7 +14,7 @@ from dsse_core.estimation.estimator import estimate_state
 from dsse_core.estimation.plan import build_estimation_plan
 from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.division import build_partition
-from dsse_core.grid.loads import Load, find_nominal
+from dsse_core.grid.loads import Load
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source, read_meter_id
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.meter_table import find_places
@@ -290,9 +290,9 @@ def test_legs_draw_by_their_exponents_and_a_leg_between_phases_takes_its_current
     loads = Load(632, "a", 0.3 + 0.1j), Load(632, "b", 0.2 + 0.1j, (1.0, 2.0)), Load(645, "bc", 0.3 + 0.2j, (2.0, 2.0))
     network = replace(feeder, loads=loads)
     rng = np.random.default_rng(5)
-    nominal = find_nominal(network.table.nodes)
+    nominal = network.legs.nominal
     v = nominal * (1 - 0.1 * rng.random(8)) * np.exp(0.1j * rng.random(8))
-    drawn = network.legs.draw(v, nominal)
+    drawn = network.legs.draw(v)
     assert drawn[:3] == pytest.approx(0)
     size = abs(v[4])
     assert drawn[3:6] == pytest.approx([0.3 + 0.1j, 0.2 * size + 0.1j * size**2, 0], rel=1e-12)
@@ -305,7 +305,7 @@ def test_legs_draw_by_their_exponents_and_a_leg_between_phases_takes_its_current
 def test_the_load_of_a_balanced_bus_is_one_leg_of_constant_power(meshed: Network) -> None:
     legs = meshed.legs
     assert legs.s.tolist() == meshed.table.load.tolist()
-    assert legs.draw(0.9 * find_nominal(meshed.table.nodes), find_nominal(meshed.table.nodes)) == pytest.approx(legs.s)
+    assert legs.draw(0.9 * legs.nominal) == pytest.approx(legs.s)
 
 
 @pytest.mark.parametrize(
