@@ -70,9 +70,8 @@ class Legs:
 
     def find_excess(self, v: np.ndarray) -> np.ndarray:
         """The power drawn at each node at voltages ``v`` above that at nominal ones, complex, p.u., (n_nodes,)."""
-        excess = np.zeros(len(v), dtype=complex)
-        if self.varying is not None:
-            excess += self.varying.draw(v) - self.varying.at_nominal
+        varying = self.varying
+        excess: np.ndarray = varying.draw(v) - varying.at_nominal if varying else np.zeros(len(v), dtype=complex)
         return excess
 
     def draw(self, v: np.ndarray) -> np.ndarray:

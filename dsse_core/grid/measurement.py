@@ -258,14 +258,14 @@ def find_meter_problems(network: Network, meters: Iterable[Meter]) -> Iterable[s
 def _find_problems_of_phases(network: Network, meter: Meter) -> Iterable[str]:
     """Phases of a meter that its bus, or its end of its branch, does not have, as text."""
     bus = network.bus(meter.bus)
-    there, branch = bus.phases, network.branch_by_id.get(meter.branch or "")
-    if branch is not None and branch.primitive is not None:
-        at_from = meter.bus == branch.from_bus
-        there = branch.primitive.from_phases if at_from else branch.primitive.to_phases
     if not meter.phases and not bus.phases:
         if meter.kind.is_virtual:
             yield f"meter {meter.id}: bus {bus.id} has no phases, and so no legs between them"
         return
+    there, branch = bus.phases, network.branch_by_id.get(meter.branch or "")
+    if branch is not None and branch.primitive is not None:
+        at_from = meter.bus == branch.from_bus
+        there = branch.primitive.from_phases if at_from else branch.primitive.to_phases
     wanted, most = list_phases(meter.phases), 1 if meter.kind.of_branch else 2
     if bus.phases and not meter.phases and meter.kind.has_total:
         return

@@ -10,7 +10,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -316,9 +316,9 @@ class Network:
         island = self.table.island
         return tuple(self.table.bus_id[island != island[self.row[start]]].tolist())
 
-    def _find_unreached_phases(self, start: int) -> tuple[str, ...]:
-        """Phases that no path of conductors and windings in service joins to ``start``, of buses that one joins."""
-        island, nodes, gone = self.table.node_island, self.table.nodes, set(self.find_unreached_buses(start))
+    def _find_unreached_phases(self, start: int, gone: Collection[int]) -> tuple[str, ...]:
+        """Phases that no path of conductors and windings in service joins to ``start``, of buses but ``gone``."""
+        island, nodes = self.table.node_island, self.table.nodes
         loose = np.flatnonzero(~np.isin(island, island[self.nodes_at(start)])).tolist()
         places = ((PHASES[nodes.phase[node]], self.node_buses[node]) for node in loose)
         return tuple(f"phase {phase} of bus {bus}" for phase, bus in places if bus not in gone)
@@ -356,7 +356,7 @@ class Network:
         path = "no path of branches in service joins"
         if buses := self.find_unreached_buses(start):
             yield f"{path} bus {', '.join(map(str, buses))} to {called}"
-        if phases := self._find_unreached_phases(start):
+        if phases := self._find_unreached_phases(start, set(buses)):
             yield f"{path} {listed(phases)} to {called}; feed the phase, or leave it out of the bus"
 
     def find_ungrounded_supply(self, further: Iterable[int] = ()) -> Iterator[str]:

@@ -77,9 +77,10 @@ class PowerFlowPlan:
         """P at ``p_rows``, then Q at ``q_rows`` at x = [va; vm], and what loads draw there above that at nominal
         voltages: what the schedule has to be.
         """
-        excess = self.network.legs.find_excess(find_voltages(x))
         injections = self.model.predict(x)
-        injections += np.concatenate([excess.real[self.p_rows], excess.imag[self.q_rows]])
+        if self.network.legs.varying is not None:
+            excess = self.network.legs.find_excess(find_voltages(x))
+            injections += np.concatenate([excess.real[self.p_rows], excess.imag[self.q_rows]])
         return injections
 
     def jacobian(self, x: np.ndarray) -> sp.csr_array:
