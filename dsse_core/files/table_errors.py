@@ -39,10 +39,10 @@ def _describe(model: type[BaseModel], error: ErrorDetails, meant: Meant) -> str:
     if error["type"] == "value_error":
         text = str(error["ctx"]["error"])
         return f"{key}: {text}" if key else text
-    found = "a table" if isinstance(error["input"], dict) else _show(error["input"])
-    text = error["msg"].replace("Input should", "must", 1).replace("String should", "must", 1)
+    text = re.sub(r"^(Input|String|List|Tuple|Dictionary) should", "must", error["msg"])
+    text = re.sub(r" after validation, not .*", "", text)
     text = re.sub(r"a valid dictionary( or instance of \w+)?", "a table", text).replace("a valid tuple", "a valid list")
-    return f"{key or 'the file'}: {text}, found {found}" + (f" ({meaning})" if meaning else "")
+    return f"{key or 'the file'}: {text}, found {_show(error['input'])}" + (f" ({meaning})" if meaning else "")
 
 
 def _suggest(model: type[BaseModel], word: str, allowed: tuple[str, ...], meant: Meant) -> str:
@@ -88,6 +88,10 @@ def _is_table(annotation: Any) -> bool:
 
 def _show(value: object) -> str:
     """A value as errors show it, cut short."""
+    if isinstance(value, dict):
+        return "a table"
+    if isinstance(value, list) and value and all(isinstance(item, dict) for item in value):
+        return "1 table" if len(value) == 1 else f"{len(value)} tables"
     try:
         return f"{value!r:.200}"
     except ValueError:  # Python prints no integer of so many digits

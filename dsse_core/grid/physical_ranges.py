@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -44,8 +45,11 @@ REACTIVE_POWER = Range(-1e6, 1e6, "Mvar")
 IMPEDANCE = Range(-1e9, 1e9, "p.u.")
 ADMITTANCE = Range(-1e6, 1e6, "p.u.")
 PORT_ADMITTANCE = Range(-1e9, 1e9, "p.u.")  # of a branch with phases: the inverse of an impedance is among them
+LOAD_CURRENT = Range(0.0, 1e6, "A")  # of a leg, at the base voltage to ground; electrodes of furnaces carry a tenth
 EXPONENT = Range(-10.0, 10.0, "")  # of a load's voltage
 TAP = Range(1e-2, 1e2, "")
+TAP_OF_WINDING = Range(0.5, 2.0, "times the nominal turns")
+PERCENT = Range(0.0, 100.0, "%")  # of a bank: impedance, losses and current without load, of the rated ones
 RATING = Range(1e-9, 1e9, "MVA")  # of a branch; other projects write 99999 kA for no limit
 ANGLE = Range(-720.0, 720.0, "degrees")
 VOLTAGE = Range(0.1, 10.0, "p.u.")
@@ -64,7 +68,7 @@ def find_range_problems(network: Network) -> Iterator[str]:
     for generator in network.generators:
         yield from _of_source(generator, network.base_mva * share_of_power(phases[generator.bus]))
     for load in network.loads:
-        yield from _of_load(load, network.node_mva)
+        yield from _of_load(load, network.node_mva, network.bus(load.bus).base_kv)
     for shunt in network.shunts:
         at = f"shunt at bus {shunt.bus}, {shunt.phases}"
         yield from PORT_ADMITTANCE.find_problem(f"{at}: conductance", shunt.y.real)
@@ -94,6 +98,7 @@ def _lie_within_ranges(network: Network) -> bool:
         (VOLTAGE, np.array([g.vm for g in holding])),
         (ANGLE, np.degrees(np.array([g.va for g in holding]))),
         (EXPONENT, np.array([load.exponents for load in loads])),
+        (LOAD_CURRENT, _find_current(abs(drawn), table.base_kv[[network.row[load.bus] for load in loads]])),
     ]
     for power in (table.load * at_bus, table.shunt * at_bus, produced, drawn):
         checked += [(POWER, power.real), (REACTIVE_POWER, power.imag)]
@@ -143,10 +148,16 @@ def _of_branch(branch: Branch, base: float) -> Iterator[str]:
             yield from RATING.find_problem(f"{of}: rating", rating * base)
 
 
-def _of_load(load: Load, base: float) -> Iterator[str]:
+def _find_current(mva: Any, base_kv: Any) -> Any:
+    """The current, A, of the apparent power ``mva`` at the base voltage to ground."""
+    return 1000 * math.sqrt(3) * mva / base_kv
+
+
+def _of_load(load: Load, base: float, base_kv: float) -> Iterator[str]:
     of = f"load at bus {load.bus}, {load.phases}"
     yield from POWER.find_problem(f"{of}: active power", load.s.real * base)
     yield from REACTIVE_POWER.find_problem(f"{of}: reactive power", load.s.imag * base)
+    yield from LOAD_CURRENT.find_problem(f"{of}: current at {base_kv:g} kV", _find_current(abs(load.s) * base, base_kv))
     for exponent in load.exponents:
         yield from EXPONENT.find_problem(f"{of}: exponent", exponent)
 

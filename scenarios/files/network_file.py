@@ -57,7 +57,11 @@ def load_network(path: Path) -> Network:
     if phases:
         parts = read_phase_parts(file, dict(zip(buses.id.tolist(), buses.base_kv.tolist(), strict=True)), phases)
     branches = BranchArrays.of(parts.branches or file.branch, buses, base)
-    problems = [*parts.problems, *_find_unit_problems(branches, is_list=isinstance(file.branch, list))]
+    problems = [
+        *parts.problems,
+        *_find_unit_problems(branches, is_list=isinstance(file.branch, list)),
+        *_find_id_problems(branches),
+    ]
     try:
         of_branches = branches.build(parts.primitives)
         loads, shunts = tuple(parts.loads), tuple(parts.shunts)
@@ -95,6 +99,20 @@ def _find_unit_problems(branches: BranchArrays, *, is_list: bool) -> Iterator[st
             yield f"{at.format('r_ohm')}: {joins}, so an impedance in ohm is ambiguous; give r_pu and x_pu"
         if in_ampere[k]:
             yield f"{at.format('rating_a')}: {joins}, so a current is ambiguous; give rating_mva"
+
+
+def _find_id_problems(branches: BranchArrays) -> Iterator[str]:
+    """Ids given to a branch by which another one, between other buses, is called."""
+    ends = list(zip(branches.from_bus.tolist(), branches.to_bus.tolist(), strict=True))
+    given = {branch_id: of for branch_id, of in zip(branches.id, ends, strict=True) if branch_id}
+    called_by_ends = (at for branch_id, at in zip(branches.id, ends, strict=True) if given and not branch_id)
+    for from_bus, to_bus in dict.fromkeys(called_by_ends):
+        of = given.get(f"{from_bus}-{to_bus}")
+        if of and {*of} != {from_bus, to_bus}:
+            yield (
+                f"branch {from_bus}-{to_bus}: the branch between bus {of[0]} and bus {of[1]} has this id; give it "
+                f"another, or the branch from {from_bus} to {to_bus} one of its own"
+            )
 
 
 def _build_generator(source: SourceTable, base_mva: float) -> Generator:

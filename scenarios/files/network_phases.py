@@ -25,8 +25,9 @@ from dsse_core.grid.physical_ranges import (
     BASE_VOLTAGE,
     EXPONENT,
     IMPEDANCE,
+    PERCENT,
     PORT_ADMITTANCE,
-    TAP,
+    TAP_OF_WINDING,
     Range,
 )
 from dsse_core.grid.primitives import (
@@ -168,7 +169,7 @@ def _read_branch(table: BranchTable, place: _Place) -> Primitive:
         if getattr(table, key) != default:
             place.refuse(key, "a branch with phases is a line; give a [[transformer]]")
     at_to = table.to_phases or phases
-    for key, text in (("phases", phases), ("to_phases", at_to)):
+    for key, text in (("phases", phases), ("to_phases", table.to_phases)):
         if text and not read_phases([text])[0]:
             place.refuse(key, explain_phases(text))
     if len(place.problems) > before:
@@ -259,6 +260,8 @@ def _read_bank(table: TransformerTable, place: _Place) -> Primitive:
         return _without_value(windings[0].phases, windings[-1].phases)
     at_from, at_to = (_read_side(winding, table, k, place) for k, winding in enumerate(windings))
     place.check(BASE_POWER, "kva", table.kva / 1000)
+    for percent in ("r_percent", "x_percent", "no_load_percent", "magnetising_percent"):
+        place.check(PERCENT, percent, getattr(table, percent))
     if len(place.problems) == before and len(at_from.legs) != len(at_to.legs):
         place.refuse("windings", f"{len(at_from.legs)} and {len(at_to.legs)} windings; each unit has one at both sides")
     if len(place.problems) > before:
@@ -281,7 +284,7 @@ def _read_side(winding: WindingTable, table: TransformerTable, k: int, place: _P
     """Side ``k`` of a bank; its turns at the nominal voltage of its bus are 1 p.u. between a phase and ground."""
     before, key, phases = len(place.problems), f"windings[{k + 1}]", winding.phases
     place.check(BASE_VOLTAGE, f"{key}.kv", [winding.kv])
-    place.check(TAP, f"{key}.taps", winding.taps)
+    place.check(TAP_OF_WINDING, f"{key}.taps", winding.taps)
     if not read_phases([phases])[0]:
         place.refuse(f"{key}.phases", explain_phases(phases))
         return Side("", (), ())
@@ -318,7 +321,7 @@ def _read_side(winding: WindingTable, table: TransformerTable, k: int, place: _P
     turns = -turns if k == 1 and clock in HALF_TURN else turns
     n = len(list_phases(phases)) if legs is None else len(legs)
     if turns.ndim and len(turns) != n:
-        place.refuse(f"{key}.taps", f"has {len(turns)} numbers; give one number, or one for each of {n} windings")
+        place.refuse(f"{key}.taps", f"is {winding.taps}; give one number, or one for each of the windings, {n}")
         return Side(phases, (), ())
     if legs is None:
         return connect(phases, connection, turns.tolist())
@@ -357,7 +360,10 @@ def _read_legs(table: LoadTable | ShuntTable, keys: tuple[str, str], place: _Pla
         for leg in legs:
             ends = list_phases(leg) if leg else []
             if len(ends) not in (1, 2) or len({*ends}) < len(ends):
-                problem = f"{leg!r} is no leg; name one phase, or two, such as 'b', 'bc', or several legs as 'a,b,c'"
+                problem = (
+                    f"{leg!r} is no leg; name one phase, of a leg to ground or neutral, or two, such as 'b', 'bc', or "
+                    "several legs as 'a,b,c'"
+                )
                 place.refuse("phases", problem)
             elif missing := [phase for phase in ends if phase not in known]:
                 place.refuse("phases", f"bus {table.bus} has no phase {', '.join(missing)}; it has {', '.join(known)}")
@@ -367,7 +373,7 @@ def _read_legs(table: LoadTable | ShuntTable, keys: tuple[str, str], place: _Pla
     parts = [[0.0] * len(legs) if values is None else values for values in given]
     for key, values in zip(keys, parts, strict=True):
         if len(values) != len(legs):
-            place.refuse(key, f"has {len(values)} numbers; phases {table.phases!r} are {len(legs)} legs")
+            place.refuse(key, f"is {values!s:.200}; give a number for each leg of {table.phases!r}")
     return legs, np.array([complex(p, q) for p, q in zip(*parts, strict=False)])
 
 
@@ -390,7 +396,8 @@ def _read_loads(table: LoadTable, place: _Place) -> list[Load]:
     if exponents.ndim == 1:
         exponents = np.broadcast_to(exponents, (len(legs), 2))
     elif len(exponents) != len(legs):
-        place.refuse("exponents", f"has {len(exponents)} pairs; phases {table.phases!r} are {len(legs)} legs")
+        found = f"is {table.exponents!s:.200}"
+        place.refuse("exponents", f"{found}; give one pair, or a pair for each leg of {table.phases!r}")
     place.check(EXPONENT, "exponents", exponents)
     if table.kv is not None:
         place.check(BASE_VOLTAGE, "kv", table.kv)

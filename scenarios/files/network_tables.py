@@ -124,8 +124,8 @@ class BranchTable(Table):
         pattern=f"^{BRANCH_ID.pattern}$",
         description=f"at most {LONGEST_NAME} lower-case letters, digits, _ and -",
     )
-    """At most 64 lower-case letters, digits, `_` and `-`; `from-to` if left out, e.g. `3-4`, and for parallel
-    branches `3-4#2`, `3-4#3`.
+    """At most 64 lower-case letters, digits, `_` and `-`; `from-to` if left out, e.g. `3-4`, or where a parallel
+    branch has that `3-4#2`, `3-4#3`. No branch of other ends may have it.
     """
     phases: Phases = Field(default="", description='phases that the branch joins, such as "bc"')
     """Phases that the branch joins, such as `"bc"`; required where buses have phases. `r`, `x`, `b`, `g` are then the
@@ -244,8 +244,8 @@ class WindingTable(Table):
     delta, `"an,bn,cn"` a wye. `"centre-tapped"` of a second side with phases `s1s2`: two interlaced halves.
     """
     taps: Taps = Field(default=1.0, description="turns by nominal ones, of all windings or of each")
-    """Turns by nominal ones, a number or one for each winding: a regulator has `taps = [1.0625, 1.05, 1.06875]` at its
-    regulated side.
+    """Turns by nominal ones, 0.5 to 2, a number or one for each winding: a regulator has
+    `taps = [1.0625, 1.05, 1.06875]` at its regulated side.
     """
 
 

@@ -75,9 +75,11 @@ def test_branches_are_called_by_their_ends_and_parallel_ones_are_numbered(tmp_pa
     assert [b.id for b in load(tmp_path, GOOD).branches] == ["1-2", "1-2#2", "2-3", "spare"]
 
 
-def test_a_default_id_makes_way_for_the_same_id_given_to_a_later_branch(tmp_path: Path) -> None:
-    text = changed('id = "spare"', 'id = "1-2"')
-    assert [b.id for b in load(tmp_path, text).branches] == ["1-2#2", "1-2#3", "2-3", "1-2"]
+def test_a_default_id_makes_way_for_the_same_id_given_to_a_parallel_branch_only(tmp_path: Path) -> None:
+    text = changed("x_ohm = 8.0 }", 'x_ohm = 8.0, id = "1-2" }')
+    assert [b.id for b in load(tmp_path, text).branches] == ["1-2#2", "1-2", "2-3", "spare"]
+    (problem,) = problems_of(tmp_path, changed('id = "spare"', 'id = "1-2"'))
+    assert problem.startswith("branch 1-2: the branch between bus 1 and bus 3 has this id; give it another, or the")
 
 
 def test_mixed_units_are_rejected(tmp_path: Path) -> None:

@@ -370,9 +370,9 @@ def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
         (('"ca,a"', '"ca,b"'), "load[1].phases: bus 3 has no phase b; it has a, c"),
         (
             ('"ca,a"', '"cac,a"'),
-            "load[1].phases: 'cac' is no leg; name one phase, or two, such as 'b', 'bc', or several",
+            "load[1].phases: 'cac' is no leg; name one phase, of a leg to ground or neutral, or two, such",
         ),
-        (("p_kw = [200.0, 20.0]", "p_kw = [200.0]"), "load[1].p_kw: has 1 numbers; phases 'ca,a' are 2 legs"),
+        (("p_kw = [200.0, 20.0]", "p_kw = [200.0]"), "load[1].p_kw: is [200.0]; give a number for each leg of 'ca,a'"),
         (("p_kw = [200.0, 20.0]", "p_kw = [1e12, 20.0]"), "load at bus 3, ca: active power is 1e+09 MW; it must lie"),
         (
             ("exponents = [2.0, 2.0]", "exponents = [2.0, 200.0]"),
@@ -380,7 +380,7 @@ def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
         ),
         (
             ("exponents = [2.0, 2.0]", "exponents = [[2.0, 2.0], [0.0, 0.0]]"),
-            "load[2].exponents: has 2 pairs; phases 'a,b,c' are 3 legs",
+            "load[2].exponents: is [[2.0, 2.0], [0.0, 0.0]]; give one pair, or a pair for each leg of 'a,b,c'",
         ),
         (('{ bus = 3, phases = "ca,a"', '{ bus = 9, phases = "ca,a"'), "load[1].bus: bus 9 is not defined"),
         (
@@ -388,11 +388,22 @@ def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
             "shunt[1].phases: bus 3 has no phase b; it has a, c",
         ),
         ((", b_kvar = [100.0]", ""), "shunt[1]: has no power; give g_kw or b_kvar"),
-        (("[60.0, 40.0]", "[60.0]"), "shunt[2].b_kvar: has 1 numbers; phases 'ab,c' are 2 legs"),
+        (("[60.0, 40.0]", "[60.0]"), "shunt[2].b_kvar: is [60.0]; give a number for each leg of 'ab,c'"),
         (("b_kvar = [100.0]", "b_kvar = [1e13]"), "shunt at bus 3, a: susceptance is 5e+09 p.u.; it must lie"),
         (
             ("magnetising_percent = 2.0", "magnetising_percent = 2e9"),
-            "transformer[1].magnetising_percent is 1e+07 p.u.; it must lie between",
+            "transformer[1].magnetising_percent is 2e+09 %; it must lie between 0 and 100 %",
+        ),
+        (("x_percent = 6.0", "x_percent = -6.0"), "transformer[1].x_percent is -6 %; it must lie between 0 and 100 %"),
+        (
+            ("taps = [1.0, 1.02, 1.05]", "taps = [1, 3, 5]"),
+            "transformer[1].windings[2].taps is 3 times the nominal turns; it must lie between 0.5 and 2",
+        ),
+        (("p_kw = [200.0, 20.0]", "p_kw = [9e6, 20.0]"), "load at bus 3, ca: current at 12 kV is 1.29904e+06 A; it"),
+        (("exponents = [2.0, 2.0]", "exponents = [2.0]"), "load[2].exponents: must have at least 2 items, found [2.0]"),
+        (
+            ('from = 2, to = 3, phases = "ac"', 'from = 2, to = 3, phases = "an"'),
+            "branch[2].phases: is 'an'; give some of a, b, c, s1, s2, in this order; a neutral is no node: leave",
         ),
         (
             ('connection = "delta"', 'connection = "star"'),
@@ -400,7 +411,7 @@ def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
         ),
         (
             ("taps = [1.0, 1.02, 1.05]", "taps = [1.0, 1.02]"),
-            "transformer[1].windings[2].taps: has 2 numbers; give one",
+            "transformer[1].windings[2].taps: is [1.0, 1.02]; give one number, or one for each of the w",
         ),
         (
             ("x_percent = 6.0", "x_percent = 6.0\nclock = 0"),
@@ -417,6 +428,10 @@ def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
         (
             ('{ bus = 1, kind = "slack"', '{ bus = 3, kind = "slack"'),
             "source[1].bus: the substation holds phase a, c of bus 3 only, and the network has 1.b; give a bus with",
+        ),
+        (
+            ('id = "bank"', 'id = "2-3"'),
+            "branch 2-3: the branch between bus 2 and bus 4 has this id; give it another, or",
         ),
         (("b_shunt_mvar = 0.2", "b_shunt_mvar = 3e6"), "bus 3: susceptance of the shunt is 3e+06 Mvar; it must"),
         (("p_mw = 0.4", "p_mw = 2e6"), "source at bus 3: active power is 2e+06 MW; it must"),
