@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,12 +17,12 @@ from dsse_core.files.strict_table import load_strict
 from dsse_core.files.wording import Suggestions, describe_unknown
 from dsse_core.grid.columns import Records, take_items
 from dsse_core.grid.division import build_partition
-from dsse_core.grid.measurement import Measurement, Meter, Source
+from dsse_core.grid.measurement import KIND_OF, Measurement, Meter, Source, find_meter_problems
 from dsse_core.grid.meter_table import KINDS, join_meters, tabulate_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area, Partition
 from dsse_core.grid.switches import keep_in_service, keep_meters_in_service
-from dsse_core.printable import printable
+from dsse_core.printable import listed, printable
 from dsse_core.reading_rules import ReadingRules
 from scenarios.faults.faults import (
     ALL_AREAS,
@@ -36,6 +36,7 @@ from scenarios.faults.faults import (
 from scenarios.files.fault_tables import FaultsTable
 from scenarios.files.network_file import load_case, load_network
 from scenarios.files.readings.file import load_readings
+from scenarios.files.readings.rows import parse_meter
 from scenarios.files.scenario_file import (
     CountTable,
     RecordTable,
@@ -187,7 +188,7 @@ def load_scenario(
     problems += reading_problems
     meters = _build_meters_of(file, network, area_buses or {}, readings)
     if not reading_problems:
-        problems += _find_gross_error_problems(file, meters)
+        problems += _find_gross_error_problems(file, network, meters)
     if partition is not None:
         problems += find_link_problems(file.faults, partition)
         problems += find_gateway_problems(file, partition, meters)
@@ -364,23 +365,41 @@ def _build_meters_of(
     return tuple(m for m in meters if not (m.kind.of_injection and areas_at[m.bus] > 1))
 
 
-def _find_gross_error_problems(file: ScenarioFile, meters: Collection[Meter]) -> Iterable[str]:
+def _find_gross_error_problems(file: ScenarioFile, network: Network, meters: Collection[Meter]) -> Iterable[str]:
     if not file.telemetry.gross_error:
         return  # the ids of all meters of a large grid take their time
-    ids = {meter.id for meter in meters if meter.source is not Source.VIRTUAL}
+    real = [meter for meter in meters if meter.source is not Source.VIRTUAL]
+    ids, meant = {meter.id for meter in real}, Suggestions(KIND_OF)
+    beside: dict[int | str | None, list[str]] = defaultdict(list)
+    for meter in real:
+        beside[meter.bus].append(meter.id)
+        if meter.branch is not None:
+            beside[meter.branch].append(meter.id)
     virtual = {meter.id for meter in meters if meter.source is Source.VIRTUAL}
-    example, suggestions = min(ids, default="vm@1"), Suggestions(ids)
     given: set[str] = set()
-    for i, meter in enumerate((error.meter for error in file.telemetry.gross_error), 1):
+    for i, text in enumerate((error.meter for error in file.telemetry.gross_error), 1):
         key = f"telemetry.gross_error[{i}].meter"
-        if meter in virtual:
-            yield f"{key}: {meter} is an exact zero injection, no meter reads it; choose another meter"
-        elif meter not in ids:
-            hint = suggestions.find(meter)
-            yield f"{key}: {meter!r} is no meter of this scenario; an id looks like {example}{hint}"
-        if meter in given:
-            yield f"{key}: {meter} is given twice; keep one"
-        given.add(meter)
+        if text in virtual:
+            yield f"{key}: {text} is an exact zero injection, no meter reads it; choose another meter"
+        elif text not in ids:
+            yield from (f"{key}: {problem}" for problem in _explain_unknown_meter(text, network, beside, meant))
+        if text in given:
+            yield f"{key}: {text} is given twice; keep one"
+        given.add(text)
+
+
+def _explain_unknown_meter(
+    text: str, network: Network, beside: Mapping[int | str | None, Sequence[str]], meant: Suggestions
+) -> Iterable[str]:
+    """The problems of ``text``, the id of no meter that reads: of the id or its place, or the meters ``beside`` it."""
+    read = parse_meter(text, meant)
+    if isinstance(read, str):
+        return [read]
+    if problems := list(find_meter_problems(network, [read])):
+        return problems
+    found = beside.get(read.branch) or beside.get(read.bus)
+    where = f"beside it stand {listed(found)}" if found else "none stands there"
+    return [f"{text!r} is no meter of this scenario; {where}"]
 
 
 def _build_scenario(

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.network import Network
-from dsse_core.grid.nodes import ANY_PHASE, list_phases
+from dsse_core.grid.nodes import ANY_PHASE, PHASES, list_phases
 from dsse_core.grid.quantities import Quantity
 from dsse_core.limits import LEAST_USABLE_SIGMA, MOST_USABLE_SIGMA
 
@@ -151,6 +151,7 @@ class Meter:
 
 KIND_OF = {str(kind): kind for kind in MeasurementKind}
 _PLACE = re.compile(rf"(\d{{1,{LONGEST_BUS}}})(?:\.((?:{ANY_PHASE})+))?(?::(.*))?")
+_WITH_OTHER_PHASES = re.compile(rf"(\w+@\d{{1,{LONGEST_BUS}}})\.([^:]*)(:.*)?")
 
 
 def read_meter_id(text: str) -> Meter | None:
@@ -160,6 +161,20 @@ def read_meter_id(text: str) -> Meter | None:
         return None
     bus, phases, branch = found.groups()
     return Meter(KIND_OF[kind], int(bus), branch or None, phases=phases or "")
+
+
+def explain_no_meter(text: str) -> str:
+    """The problem of ``text``, which is no id of a meter (``read_meter_id``)."""
+    kind = KIND_OF.get(text.partition("@")[0])
+    if kind is None or (found := _WITH_OTHER_PHASES.fullmatch(text)) is None:
+        kinds = ", ".join(known for known in MeasurementKind if not known.is_virtual)
+        return (
+            f"{text!r:.80} is no meter id; one looks like vm@1, p_injection@4 or p_flow@3:3-4 "
+            f"(KIND@BUS or KIND@BUS:BRANCH, kinds: {kinds})"
+        )
+    at, phases, branch = found.groups(default="")
+    total = f"; a total has the id {at}{branch:.80}" if kind.has_total and not kind.is_virtual else ""
+    return f"{text!r:.80} is no meter id: {phases!r:.20} names no phases of {', '.join(PHASES[1:])}{total}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +259,7 @@ def find_meter_problems(network: Network, meters: Iterable[Meter]) -> Iterable[s
         if meter.kind.of_branch:
             branch = branch_by_id.get(meter.branch or "")
             if branch is None:
-                yield f"meter {meter.id}: branch {meter.branch} is not in network {network.name!r}"
+                yield f"meter {meter.id}: {_explain_unknown_branch(network, meter)}"
             elif not branch.in_service:
                 yield f"meter {meter.id}: branch {meter.branch} is out of service"
             elif meter.bus not in (branch.from_bus, branch.to_bus):
@@ -253,6 +268,19 @@ def find_meter_problems(network: Network, meters: Iterable[Meter]) -> Iterable[s
             yield f"meter {meter.id}: a {meter.kind} meter stands at a bus, not on a branch"
         if meter.bus in row:
             yield from _find_problems_of_phases(network, meter)
+
+
+def _explain_unknown_branch(network: Network, meter: Meter) -> str:
+    """The problem of a meter whose branch is not there, and where a phase or the branch stands in an id."""
+    if meter.branch is None:
+        return f"stands on a branch; name it, as {meter.kind}@{meter.at}:BRANCH"
+    problem = f"branch {meter.branch} is not in network {network.name!r}"
+    branch, _, phase = meter.branch.rpartition(".")
+    there = network.bus(meter.bus).phases if meter.bus in network.row else ""
+    if not there or branch not in network.branch_by_id:
+        return problem
+    example = phase if phase in list_phases(there) else list_phases(there)[0]
+    return f"{problem}; a phase stands behind the bus, as {meter.kind}@{meter.bus}.{example}:{branch}"
 
 
 def _find_problems_of_phases(network: Network, meter: Meter) -> Iterable[str]:

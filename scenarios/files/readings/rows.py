@@ -13,6 +13,7 @@ from dsse_core.grid.measurement import (
     Measurement,
     MeasurementKind,
     Meter,
+    explain_no_meter,
     find_meter_problems,
     read_meter_id,
 )
@@ -146,10 +147,7 @@ def parse_meter(text: str, meant: Suggestions | None = None) -> Meter | str:
         return meter
     kind_name = text.partition("@")[0]
     close = "" if kind_name in KIND_OF else (meant or Suggestions(list(KIND_OF))).find(kind_name)
-    return (
-        f"{text!r:.80} is no meter id; one looks like vm@1, p_injection@4 or p_flow@3:3-4 "
-        f"(KIND@BUS or KIND@BUS:BRANCH, kinds: {', '.join(kind for kind in KIND if not kind.is_virtual)}){close}"
-    )
+    return explain_no_meter(text) + close
 
 
 def _find_value_problems(meter: Meter, value: float, sigma: float, network: Network) -> Iterable[str]:

@@ -229,7 +229,8 @@ def test_readings_of_phases_are_to_ground_and_of_a_third_of_the_base_and_totals_
 
 def test_readings_of_phases_that_are_not_there_are_refused_with_those_that_are(tmp_path: Path) -> None:
     path = tmp_path / "readings.csv"
-    rows = ["vm@671", "vm@611.a", "p_flow@671.b:671-684", "vm@671.abc", "current@671:671-684", "vm@671.q", "vm@671.b"]
+    rows = ["vm@671", "vm@611.a", "p_flow@671.b:671-684", "vm@671.abc", "current@671:671-684", "vm@671.q"]
+    rows += ["p_flow@671:671-684.c", "p_injection@671.total", "vm@671.b"]
     path.write_text("meter,value_pu,sigma_pu\n" + "".join(f"{row},1.0,0.1\n" for row in rows))
     with pytest.raises(InvalidInputError) as caught:
         load_readings(path, IEEE13)
@@ -239,8 +240,11 @@ def test_readings_of_phases_that_are_not_there_are_refused_with_those_that_are(t
         "meter p_flow@671.b:671-684: phase b is not there, only a, c",
         "meter vm@671.abc: name one phase, or two of bus 671, which has a, b, c",
         "meter current@671:671-684: name one phase of bus 671, which has a, b, c",
-        "'vm@671.q' is no meter id; one looks like vm@1, p_injection@4 or p_flow@3:3-4 (KIND@BUS or KIND@BUS:BRANCH, "
-        "kinds: vm, va, p_injection, q_injection, p_flow, q_flow, current)",
+        "'vm@671.q' is no meter id: 'q' names no phases of a, b, c, s1, s2",
+        "meter p_flow@671:671-684.c: branch 671-684.c is not in network 'ieee13'; a phase stands behind the bus, as "
+        "p_flow@671.c:671-684",
+        "'p_injection@671.total' is no meter id: 'total' names no phases of a, b, c, s1, s2; a total has the id "
+        "p_injection@671",
     ]
 
 

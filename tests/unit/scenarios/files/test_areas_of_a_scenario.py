@@ -96,7 +96,7 @@ def test_a_gap_of_the_areas_of_a_cut_is_reported_beside_other_problems(tmp_path:
     problems = problems_of(tmp_path, areas, '[[telemetry.gross_error]]\nmeter = "vm@99"\nsigmas = 3.0\n')
     assert problems[0].startswith("areas: 33 areas are asked for")
     assert "at most 32" in problems[0]
-    assert problems[1].startswith("telemetry.gross_error[1].meter: 'vm@99' is no meter")
+    assert problems[1] == "telemetry.gross_error[1].meter: meter vm@99: bus 99 is not in network 'ieee33'"
 
 
 def test_wrong_switches_are_reported_with_their_key(tmp_path: Path) -> None:
@@ -119,7 +119,7 @@ def test_wrong_switches_are_reported_with_their_key(tmp_path: Path) -> None:
             "[areas]\ncount = 2\n[areas.area1]\nbuses = [1]",
             ["areas: give count or the buses of each area, found count and the areas area1"],
         ),
-        ("areas = { switches = [] }", ["areas.switches: List should have at least 1 item"]),
+        ("areas = { switches = [] }", ["areas.switches: must have at least 1 item, found []"]),
         ("areas = { switches = [67] }", ["areas.switches[1]: must be a valid string, found 67"]),
         ("areas = 3", ["areas: must be a table, found 3 (one [areas.NAME] with its buses for each area, or { count"]),
     ],
