@@ -8,13 +8,14 @@ weakly, their share of the zero sequence is left out. There only voltages betwee
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dsse_core.grid.network_table import NetworkTable
 from dsse_core.grid.nodes import list_phases
+from dsse_core.printable import listed
 
 NEGLIGIBLE = 1e-4  # relative: a smaller draw to ground is no ground, a smaller difference of voltages none
 PIN = 1.0  # p.u., the admittance of the shunt
@@ -35,6 +36,14 @@ class Gauge:
         """The gauge of a part of the network with ``buses``, of which it holds the shunts of those ``owned``."""
         there, own = set(buses.tolist()), set(owned.tolist())
         return Gauge(tuple(b for b in self.ungrounded if b in there), tuple(b for b in self.pinned if b in own))
+
+
+def describe_ungrounded(buses: Sequence[int]) -> str:
+    """Sentence on ``buses`` whose voltages to ground mean nothing; empty where there are none."""
+    if not buses:
+        return ""
+    one = "has" if len(buses) == 1 else "have"
+    return f"Bus {listed(buses)} {one} no path to ground: only voltages between phases mean anything there."
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ from coordinator.show.figures.diagram import (
     show_phases,
 )
 from coordinator.show.figures.feeder_layout import lay_out
-from coordinator.show.figures.profile_figures import describe_ungrounded
 from coordinator.show.figures.style import GREY, VERMILLION, Drawing
 from dsse_core.estimation.state_limits import OperatingLimits
+from dsse_core.grid.gauge import describe_ungrounded
 from dsse_core.grid.network import Network
 from dsse_core.results.meters import find_unsupplied
 
@@ -105,7 +105,7 @@ def draw_network(outcome: RunOutcome) -> Drawing:
         caption += (
             " The worst phase of a bus is nearest to a limit, or farthest beyond. Thinner lines have fewer phases."
         )
-    caption += describe_ungrounded(network)
+    caption = f"{caption} {describe_ungrounded(network.gauge.ungrounded)}".strip()
     if dead.any():
         caption += f" Grey and dotted: {dead.sum()} buses without supply."
     if n_unknown := len(vm) - len(known) - int(dead.sum()):

@@ -26,12 +26,10 @@ from coordinator.show.figures.style import (
 )
 from dsse_core.estimation.state_limits import OperatingLimits
 from dsse_core.grid.admittance import find_no_load
+from dsse_core.grid.gauge import describe_ungrounded
 from dsse_core.grid.network import Network
 from dsse_core.grid.nodes import PHASES
-from dsse_core.printable import listed
 from dsse_core.results.units import wrap_degrees
-
-MOST_NAMED = 12  # buses
 
 LINE_OF_PHASE: list[dict[str, Any]] = [
     {
@@ -143,18 +141,9 @@ def _draw(
     figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=columns, fontsize="small")
     measured = "the smallest sum of the branches' |r + jx|"
     what = "bus" if network.table.nodes.is_balanced else "phase of every bus"
-    caption = f"Every {what} against its distance from the substation, {measured}.{describe_ungrounded(network)}"
+    remark = describe_ungrounded(network.gauge.ungrounded)
+    caption = f"Every {what} against its distance from the substation, {measured}. {remark}".strip()
     return Drawing(name, title, caption, figure)
-
-
-def describe_ungrounded(network: Network) -> str:
-    """Sentence, after a space, on the buses whose voltages to ground mean nothing; empty where there are none."""
-    if not (buses := network.gauge.ungrounded):
-        return ""
-    one = "has" if len(buses) == 1 else "have"
-    return (
-        f" Bus {listed(buses, MOST_NAMED)} {one} no path to ground: only voltages between phases mean anything there."
-    )
 
 
 def _find_conductors(network: Network) -> tuple[np.ndarray, np.ndarray]:

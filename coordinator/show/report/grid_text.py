@@ -15,6 +15,7 @@ from coordinator.watch.tables import format_table
 from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.estimation.residuals import describe_tap
 from dsse_core.estimation.switches import describe_switches
+from dsse_core.grid.gauge import describe_ungrounded
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.printable import all_printable, printable, shortened
 from dsse_core.results.columns import find_first_rows
@@ -60,7 +61,7 @@ def format_state(buses: Table, branches: Table) -> str:
     ]
     header = ("bus", "vm p.u.", "kV", "va deg", "injection kW", "kvar", UNBALANCE)
     of_buses = _join_cells(header[: len(columns)], columns)
-    return f"{of_buses}\n\n{_format_branches(branches)}"
+    return f"{of_buses}{_remark_on(buses)}\n\n{_format_branches(branches)}"
 
 
 def format_power_flow(result: PowerFlowResult, tables: Results) -> str:
@@ -79,10 +80,10 @@ def format_estimate(report: BadDataReport, tables: Results) -> str:
     columns = [
         _name_rows(buses.bus, buses.phase, buses.name),
         write_fixed(buses.vm_pu, 5),
-        write_fixed(buses.sigma_vm_pu, 5),
+        _sigmas(buses.sigma_vm_pu, 5),
         *([write_fixed(buses.true_vm_pu, 5)] if with_truth else ()),
         write_fixed(buses.va_deg, 4),
-        write_fixed(buses.sigma_va_deg, 4),
+        _sigmas(buses.sigma_va_deg, 4),
         *([write_fixed(buses.true_va_deg, 4)] if with_truth else ()),
         *map(_powers, (buses.p_kw, buses.sigma_p_kw, buses.q_kvar, buses.sigma_q_kvar)),
         *_unbalance(buses),
@@ -102,7 +103,15 @@ def format_estimate(report: BadDataReport, tables: Results) -> str:
         UNBALANCE,
     )
     findings = "\n".join(map(printable, format_bad_data(report)))
-    return "\n\n".join([_join_cells(header[: len(columns)], columns), _format_branches(tables.branches), findings])
+    of_buses = _join_cells(header[: len(columns)], columns)
+    return f"{of_buses}{_remark_on(buses)}\n\n{_format_branches(tables.branches)}\n\n{findings}"
+
+
+def _remark_on(buses: Table) -> str:
+    """A line below the table of buses on those without path to ground, whose voltages have no standard deviation."""
+    if "grounded" not in buses.columns or buses.grounded.all():
+        return ""
+    return f"\n{describe_ungrounded(np.unique(buses.bus[~buses.grounded]).tolist())}"
 
 
 def _unbalance(buses: Table) -> Iterator[np.ndarray]:
@@ -210,6 +219,12 @@ def _powers(values: np.ndarray) -> np.ndarray:
     small = (size >= SMALLEST_SHOWN) & (size < 1)
     cells = place(cells, small, write_significant(values[small], 3))
     return place(cells, size >= 1, write_fixed(values[size >= 1], 2))
+
+
+def _sigmas(values: np.ndarray, digits: int) -> np.ndarray:
+    """Cells of standard deviations (n,), "-" where there is none."""
+    known = ~np.isnan(values)
+    return place(np.full((1, len(values)), ord("-"), dtype=np.uint8), known, write_fixed(values[known], digits))
 
 
 def _power(value: float) -> str:

@@ -8,6 +8,7 @@ from coordinator.lab.evaluation.verdict import Verdict
 from coordinator.show.report.phase_rows import describe_unbalance
 from coordinator.watch.observe.causes import write_lines
 from coordinator.watch.tables import format_table
+from dsse_core.grid.gauge import describe_ungrounded
 from dsse_core.grid.partition import Area
 from dsse_core.printable import printable, printable_lines
 from dsse_core.split_identity import describe_other
@@ -81,6 +82,7 @@ def list_findings(result: RunOutcome) -> list[str]:
     empty where there is nothing to report.
     """
     lines = [unbalance] if (unbalance := describe_unbalance(result)) else []
+    lines += [ungrounded] if (ungrounded := describe_ungrounded(result.scenario.network.gauge.ungrounded)) else []
     if result.faults:
         lines.append("faults: " + ", ".join(f"{count} {kind}" for kind, count in sorted(result.faults.items())))
     lines += [f"warning: {duplicate}" for duplicate in result.duplicates]
@@ -118,6 +120,8 @@ def format_check(scenario: Scenario) -> str:
     ]
     meters = partition.split_meters(scenario.meters)
     lines += [f"  {_describe_area(area, len(meters[area.name]))}" for area in partition.areas]
+    if ungrounded := describe_ungrounded(network.gauge.ungrounded):
+        lines.append(f"note: {ungrounded}")
     if remark := find_gateway_remark(scenario.reading_rules):
         lines.append(f"note: {remark}")
     return "\n".join(map(printable, lines))

@@ -23,7 +23,7 @@ from coordinator.lab.simulator.simulate import Simulation, simulate_scenario
 from coordinator.lab.simulator.subscriber import Subscriber
 from coordinator.show.figures.errors_figure import draw_errors
 from coordinator.show.figures.network_figure import draw_network, find_worst
-from coordinator.show.figures.profile_figures import describe_ungrounded, draw_angles, draw_magnitudes, find_profile
+from coordinator.show.figures.profile_figures import draw_angles, draw_magnitudes, find_profile
 from coordinator.show.figures.residuals_figure import draw_residuals
 from coordinator.show.figures.style import Drawing, styled
 from coordinator.show.report.grid_text import format_state
@@ -37,6 +37,7 @@ from coordinator.watch.observe.grid_tables import GridTables, Tables
 from coordinator.watch.observe.summary import summarise
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.estimation.state_limits import OperatingLimits
+from dsse_core.grid.gauge import describe_ungrounded
 from dsse_core.grid.nodes import PHASES
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.results.results import results_of_power_flow
@@ -239,5 +240,7 @@ def test_voltages_to_ground_are_not_judged_in_parts_without_ground():
     drawn = draw_tables(tables, has_grid=True)["buses"]["vm_pu"]
     assert np.isnan(drawn).tolist() == (~buses.grounded).tolist()
     names = ", ".join(map(str, network.gauge.ungrounded))
-    assert f"Bus {names} have no path to ground" in describe_ungrounded(network)
-    assert describe_ungrounded(SCENARIO.network) == ""
+    remark = describe_ungrounded(network.gauge.ungrounded)
+    assert f"Bus {names} have no path to ground" in remark
+    assert f"\n{remark}\n\n" in format_state(buses, results_of_power_flow(solve_power_flow(network)).branches)
+    assert describe_ungrounded(SCENARIO.network.gauge.ungrounded) == ""
