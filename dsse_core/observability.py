@@ -59,7 +59,7 @@ def find_indispensable_rows(network: Network, meters: Sequence[Meter], *, refere
         raise InvalidInputError(f"meters of network {network.name!r}", problems)
     reference = find_reference(network, reference)
     model, n, width = _no_load_model(network, meters), network.n_nodes, 2 + 2 * _most_phases(network)
-    free = np.delete(np.arange(2 * n), network.nodes_at(reference))
+    free = network.find_unknown(reference)
     order = order_tableau(network, reference, model, free)
     fit = NoLoadFit(_scaled_jacobian(network, model, reference)[:, free], None if order.fills_in else order.rows, width)
     unseen = fit.find_null_vectors()

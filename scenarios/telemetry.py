@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from dsse_core.grid.measurement import Measurement, Meter, Source
 from dsse_core.grid.meter_table import KINDS, NO_BRANCH, QUANTITY, find_virtual, list_named_phases, number_kinds
 from dsse_core.grid.network import Network
 from dsse_core.grid.quantities import Quantity
-from dsse_core.grid.switches import find_meters_in_service, take_fed
+from dsse_core.grid.switches import find_meters_in_service
 from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
 from scenarios.crc32 import sum_up, write_bytes
@@ -111,14 +111,7 @@ def read_meters(scenario: Scenario, scan: int = 1, closed: Mapping[str, bool] = 
 
 def solve_with_supply(network: Network) -> PowerFlowResult:
     """The power flow of the part of ``network`` that has supply; 0 elsewhere."""
-    fed, _ = take_fed(network, ())
-    flow = solve_power_flow(fed)
-    if fed is network:
-        return flow
-    rows = [network.node(*node) for node in fed.nodes]
-    vm, va, injection = np.zeros(network.n_nodes), np.zeros(network.n_nodes), np.zeros(network.n_nodes, dtype=complex)
-    vm[rows], va[rows], injection[rows] = flow.vm, flow.va, flow.injection
-    return replace(flow, network=network, vm=vm, va=va, injection=injection)
+    return solve_power_flow(network.supplied())
 
 
 def read_in_service(truth: PowerFlowResult, meters: Sequence[Meter]) -> tuple[np.ndarray, np.ndarray]:

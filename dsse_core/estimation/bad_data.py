@@ -230,7 +230,7 @@ def _estimate_without(
     plan = result.plan.without(rows) if rows else result.plan
     if switches:
         status = plan.network.switches
-        network = plan.network.operated({switch: not status[switch] for switch in switches})
+        network = plan.network.operated({switch: not status[switch] for switch in switches}).supplied()
         kept = find_meters_in_service(network, plan.meters)
         meters, rows = take_items(plan.meters, kept), np.delete(np.arange(len(plan.meters)), kept).tolist()
         plan = build_estimation_plan(network, meters, reference=plan.reference)

@@ -261,7 +261,7 @@ class WholeGrid:
         self.x = self.x + share * self._step
 
     def solution(self) -> Solution:
-        va, vm = np.split(self.x, 2)
+        va, vm = np.split(np.where(np.tile(self._linear.model.area.network.is_dead, 2), 0.0, self.x), 2)
         r = self._find_residual(self.x)
         return vm, va, r, self._find_objective(r), self._steps
 

@@ -77,7 +77,7 @@ class EstimationPlan:
     @property
     def degrees_of_freedom(self) -> int:
         """Measurements + constraints - state variables."""
-        return len(self.meters) - (2 * self.network.n_nodes - len(self.network.nodes_at(self.reference)))
+        return len(self.meters) - len(self.network.find_unknown(self.reference))
 
 
 def build_estimation_plan(

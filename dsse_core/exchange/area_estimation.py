@@ -27,11 +27,10 @@ from dsse_core.exchange.feeder_bad_data import (
 )
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Network
-from dsse_core.grid.nodes import list_phases
 from dsse_core.grid.partition import Area
 from dsse_core.grid.quantities import Quantity
 from dsse_core.grid.supply import FED, Pieces, find_alternatives, find_pieces, find_pieces_for
-from dsse_core.grid.switches import keep_in_service
+from dsse_core.grid.switches import find_dead_meters, keep_in_service
 from dsse_core.linear import choose_backend
 from dsse_core.linear.area_measurements import Backend
 from dsse_core.linear.area_model import AreaModel, build_area_model
@@ -94,7 +93,7 @@ class AreaEstimation:
         self._measured_at_no_load: Sequence[Measurement] = ()
         self._meters_of_no_load: tuple[Meter, ...] = ()
         self._kept_no_load: dict[tuple[str, ...], tuple[object, object]] = {}  # query -> its input, its result
-        self.dead = np.zeros(self._n, dtype=bool)  # nodes without supply
+        self._supplied = area  # ``area`` with the nodes that are dead in this start
         self._pieces: Mapping[str, Pieces] = {}  # of all neighbours, as of this start
 
     @property
@@ -130,7 +129,7 @@ class AreaEstimation:
         self._silent, self._is_stale = frozenset(silent), stale
         self.reported, self.before_removal = set(), None
         self._operate(())
-        self.dead = find_pieces(self.area, {}) != FED  # what lies behind neighbours is not known yet
+        self._find_dead({name: self._pieces[name] for name in self._pieces.keys() - self._silent})  # as they last were
         self._start = self._start_of_term = self._hold_dead(self._flat if self.failure else self.x)
         self._start_anew(())
         self.stand_ins = self._find_stand_ins(loads or {})
@@ -147,33 +146,53 @@ class AreaEstimation:
         if area.network.switches == self.area.network.switches:
             return
         self.area = area
+        self._supplied = replace(area, network=area.network.with_dead(self.dead))
+        self._drop_model()
+        self._no_load, self._meters_of_no_load, self._kept_no_load = None, (), {}
+
+    def _drop_model(self) -> None:
         if self._model is not None:
             self._model.end()
         self._model, self._boundary_values = None, {}
-        self._no_load, self._meters_of_no_load, self._kept_no_load = None, (), {}
 
     def _hold_dead(self, x: np.ndarray) -> np.ndarray:
         """``x`` with nodes without supply at no load: there they begin when they are fed again."""
-        dead = self._of_dead
-        return np.concatenate([np.where(dead, self._flat[: len(dead)], x[: len(dead)]), x[len(dead) :]])
+        network, powers = self.area.network, self.area.powers_into_children
+        of_powers = self.dead[np.array([network.node(p.bus, p.phase) for p in powers], dtype=np.intp)]
+        return np.where(np.concatenate([self._of_dead, of_powers]), self._flat, x)
 
     @property
     def _of_dead(self) -> np.ndarray:
         """True for the angles, then the magnitudes, of nodes without supply, (2 n_nodes,)."""
         return np.tile(self.dead, 2)
 
-    def _is_dead(self, meter: Meter) -> bool:
-        """True where a meter reads a node without supply."""
-        network = self.area.network
-        if not meter.phases:
-            return bool(self.dead[network.nodes_at(meter.bus)].any())
-        return any(self.dead[network.node(meter.bus, phase)] for phase in list_phases(meter.phases))
+    @property
+    def dead(self) -> np.ndarray:
+        """True for nodes without supply, (n_nodes,)."""
+        return self._supplied.network.is_dead
+
+    def _find_dead(self, pieces: Mapping[str, Pieces]) -> bool:
+        """Leaves out the nodes that ``pieces``, of all neighbours in use, show to be without supply; True where these
+        are others than before.
+        """
+        network = self.area.network.with_dead(find_pieces(self.area, pieces) != FED)
+        if network.dead == self._supplied.network.dead:
+            return False
+        self._supplied = replace(self.area, network=network)
+        self._drop_model()
+        return True
+
+    def _split_dead(self, readings: Sequence[Measurement]) -> tuple[list[Measurement], list[Measurement]]:
+        """The ``readings`` of meters where there is supply, and the others."""
+        if not self._supplied.network.dead:
+            return list(readings), []
+        is_dead = find_dead_meters(self._supplied.network, [m.meter for m in readings]).tolist()
+        split = [[m for m, dead in zip(readings, is_dead, strict=True) if dead == side] for side in (False, True)]
+        return split[0], split[1]
 
     def _leave_dead(self, pieces: Mapping[str, Pieces]) -> None:
-        """Leaves out the nodes that ``pieces``, of all neighbours in use, show to be without supply."""
-        dead = find_pieces(self.area, pieces) != FED
-        if (dead != self.dead).any():
-            self.dead = dead
+        """``_find_dead`` before the first step, with a new model where it finds others."""
+        if self._find_dead(pieces):
             self.x, self._start = self._hold_dead(self.x), self._hold_dead(self._start)
             self._start_of_term = self._hold_dead(self._start_of_term)
             self._build()
@@ -227,7 +246,7 @@ class AreaEstimation:
         """Ids of the voltmeters that are left out because no grid works at the voltage that they read, where there is
         supply.
         """
-        voltmeters = [m for m in self._readings if m.meter.kind is MeasurementKind.VM and not self._is_dead(m.meter)]
+        voltmeters, _ = self._split_dead([m for m in self._readings if m.meter.kind is MeasurementKind.VM])
         rows = find_dead([m.meter for m in voltmeters], [m.value for m in voltmeters])
         return tuple(voltmeters[k].meter.id for k in rows)
 
@@ -250,7 +269,7 @@ class AreaEstimation:
         as_before = self._silent or self._is_blank
         further: tuple[VoltageReadings, ...] = (VoltageReadings(self._start[: 2 * self._n]),) if as_before else ()
         if self.dead.any():
-            in_use = [m for m in in_use if not self._is_dead(m.meter)]
+            in_use, _ = self._split_dead(in_use)
             further += (VoltageReadings(self._flat[: 2 * self._n], there=self._of_dead),)
         meters = tuple(m.meter for m in in_use)
         former = self._model
@@ -259,7 +278,7 @@ class AreaEstimation:
         else:
             backend: Backend = "pieces" if self.dead.any() else "auto"  # solves lose digits where a part is dead
             self._model = replace(
-                build_area_model(self.area, in_use, self._reference, backend=backend), further=further
+                build_area_model(self._supplied, in_use, self._reference, backend=backend), further=further
             )
         if former is not None:
             former.end()
@@ -370,23 +389,22 @@ class AreaEstimation:
             silent=tuple(sorted(self._silent)),
             stale=(name,) if self._is_stale else (),
             unobservable=_name_nodes(self.area.network, [node for node in self.unobservable if self._is_own[node]]),
-            energised=tuple(sorted(m.meter.id for m in self._readings if self._is_energised(m)))[:MOST_NAMED],
+            energised=self._find_energised()[:MOST_NAMED],
             dark=self._find_dark()[:MOST_NAMED],
         )
 
-    def _is_energised(self, reading: Measurement) -> bool:
-        """True where a voltmeter reads a voltage at a node without supply."""
-        is_voltage = reading.meter.kind is MeasurementKind.VM and reading.value >= DEAD_VM
-        return is_voltage and bool(self.dead.any()) and self._is_dead(reading.meter)
+    def _find_energised(self) -> tuple[str, ...]:
+        """Ids of the voltmeters that read a voltage at a node without supply."""
+        read = [m for m in self._readings if m.meter.kind is MeasurementKind.VM and m.value >= DEAD_VM]
+        return tuple(sorted(m.meter.id for m in self._split_dead(read)[1]))
 
     def _find_dark(self) -> tuple[str, ...]:
         """Ids of the open branches with an end without supply."""
         if not self.dead.any():
             return ()
         network = self.area.network
-        opened = (branch for branch in network.branches if not branch.in_service)
-        ends = ((branch.id, network.nodes_at(bus)) for branch in opened for bus in (branch.from_bus, branch.to_bus))
-        return tuple(sorted({branch for branch, nodes in ends if self.dead[nodes].any()}))
+        opened = (branch.id for branch in network.branches if not branch.in_service)
+        return tuple(sorted(branch for branch in opened if self.dead[network.nodes_of(branch)].any()))
 
     def _multiply_own(self, a: np.ndarray, b: np.ndarray) -> float:
         """Product of two steps over the voltages of the area's own buses."""
@@ -552,9 +570,7 @@ class AreaEstimation:
         """
         silent = (self.area.boundaries[name] for name in self._silent)
         is_known = not any(power.area != self.area.name for there in silent for power in there.powers)
-        network, powers = self.area.network, self.area.powers_into_children
-        fed = [not self.dead[network.node(power.bus, power.phase)] for power in powers]
-        return tuple((self.x[2 * self._n :] * fed).tolist()) if is_known else ()
+        return tuple(self.x[2 * self._n :].tolist()) if is_known else ()
 
     @property
     def voltages(self) -> tuple[np.ndarray, np.ndarray]:

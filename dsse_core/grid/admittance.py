@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,7 +14,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.grid.gauge import PIN, project_charging
 from dsse_core.grid.network import Network
 from dsse_core.grid.network_table import NetworkTable
-from dsse_core.grid.nodes import PHASE_ANGLE, list_phases
+from dsse_core.grid.nodes import PHASE_ANGLE
 
 GROUNDED = 1e-13  # share of a node's admittance, below ten times of which a pivot is rounding: without path to ground
 
@@ -56,9 +56,9 @@ def find_shunts(network: Network) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return of_shunts
     y, row, column = of_shunts
     whole, parts = sp.csr_array((y, (row, column)), shape=(network.n_nodes,) * 2), [of_shunts]
-    for at in map(network.nodes_at, network.gauge.ungrounded):
+    for at in map(network.live_nodes_at, network.gauge.ungrounded):
         of_bus = whole[at][:, at].toarray()
-        without = project_charging(of_bus, len(at), (True, False)) - of_bus
+        without = project_charging(of_bus, [np.arange(len(at))]) - of_bus
         parts.append((without.ravel(), np.repeat(at, len(at)), np.tile(at, len(at))))
     y, row, column = (np.concatenate(of) for of in zip(*parts, strict=True))
     return y, row, column
@@ -71,21 +71,31 @@ def find_primitives(network: Network, with_shunts: bool) -> np.ndarray:
         return np.concatenate(find_two_ports(table, table.active, with_shunts))
     ungrounded, matrices = set(network.gauge.ungrounded), [np.zeros(0)]
     ends = table.from_bus[table.active].tolist(), table.to_bus[table.active].tolist()
-    for branch, from_bus, to_bus in zip(table.active.tolist(), *ends, strict=True):
-        p = table.primitives[branch]
-        is_ungrounded = from_bus in ungrounded, to_bus in ungrounded
+    for place, (p, *buses) in enumerate(zip(table.carrying, *ends, strict=True)):
         y = p.y if with_shunts else p.y - p.charging
-        if with_shunts and any(is_ungrounded):
-            y = p.y - p.charging + project_charging(p.charging, len(list_phases(p.from_phases)), is_ungrounded)
+        if with_shunts and not ungrounded.isdisjoint(buses):
+            y = p.y - p.charging + project_charging(p.charging, _find_ungrounded_ports(table, place, buses, ungrounded))
         matrices.append(y.ravel())
     return np.concatenate(matrices)
+
+
+def _find_ungrounded_ports(
+    table: NetworkTable, place: int, buses: Sequence[int], ungrounded: Collection[int]
+) -> Iterator[np.ndarray]:
+    """The live ports at each end of a branch in service that is at one of the buses ``ungrounded``."""
+    at_ends = [table.ports.at(place), table.ports.at(len(table.active) + place)]
+    ends = np.repeat([0, 1], list(map(len, at_ends)))
+    lives = ~table.is_dead[table.port_node[np.concatenate(at_ends)]]
+    for end, bus in enumerate(buses):
+        if bus in ungrounded:
+            yield np.flatnonzero(lives & (ends == end))
 
 
 def _find_pins(network: Network, with_shunts: bool) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Entries, rows and columns of the gauge's own shunts."""
     for bus in network.gauge.pinned:
-        if not with_shunts or bus in network.gauge.ungrounded:
-            at = network.nodes_at(bus)
+        at = network.live_nodes_at(bus)
+        if len(at) and (not with_shunts or bus in network.gauge.ungrounded):
             yield np.full(len(at) ** 2, PIN / len(at) ** 2), np.repeat(at, len(at)), np.tile(at, len(at))
 
 

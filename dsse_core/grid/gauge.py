@@ -8,7 +8,7 @@ weakly, their share of the zero sequence is left out. There only voltages betwee
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,15 +72,11 @@ def find_gauge(table: NetworkTable, source: int | None) -> Gauge:
     return Gauge(tuple(sorted(ungrounded, key=ids.index)), tuple(pinned))
 
 
-def project_charging(charging: np.ndarray, n_from: int, is_ungrounded: tuple[bool, bool]) -> np.ndarray:
-    """``charging`` over the ports of a branch, of which ``n_from`` are from ends, without the zero sequence of the ends
-    that are ungrounded.
-    """
-    n = len(charging)
-    P = np.eye(n)
-    for ports, without in zip((slice(0, n_from), slice(n_from, n)), is_ungrounded, strict=True):
-        if without and len(P[ports]):
-            P[ports, ports] -= 1 / len(P[ports])
+def project_charging(charging: np.ndarray, ungrounded: Iterable[np.ndarray]) -> np.ndarray:
+    """``charging`` over ports without the zero sequence of each of the sets of ports ``ungrounded``."""
+    P = np.eye(len(charging))
+    for ports in ungrounded:
+        P[np.ix_(ports, ports)] -= 1 / max(1, len(ports))
     projected: np.ndarray = P @ charging @ P
     return projected
 

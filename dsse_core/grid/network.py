@@ -131,6 +131,7 @@ class Network:
     loads: tuple[Load, ...] = ()  # of buses with phases, whose ``p_load`` and ``q_load`` are 0
     gauge_of_whole: Gauge | None = None  # of a part of a network, which does not see what grounds it
     shunts: tuple[Shunt, ...] = ()  # of some phases of buses; those of all phases alike are of the ``Bus``
+    dead: tuple[int, ...] = ()  # rows of nodes without supply, where no current flows; see ``supplied``
 
     def __post_init__(self) -> None:
         if problems := list(_find_problems(self)):
@@ -146,7 +147,7 @@ class Network:
     @cached_property
     def table(self) -> NetworkTable:
         """All buses and branches as columns."""
-        return tabulate(self.buses, self.branches, self.shunts)
+        return tabulate(self.buses, self.branches, self.shunts, self.dead)
 
     @cached_property
     def branch_ids(self) -> Sequence[str]:
@@ -215,6 +216,24 @@ class Network:
         """The rows of the nodes of a bus."""
         return self.table.nodes.at(self.row[bus])
 
+    def find_unknown(self, reference: int) -> np.ndarray:
+        """The unknown entries of x = [va; vm]: all but angles of bus ``reference`` and voltages of dead nodes."""
+        is_known = np.tile(self.is_dead, 2)
+        is_known[self.nodes_at(reference)] = True
+        return np.flatnonzero(~is_known)
+
+    def nodes_of(self, branch_id: str) -> list[int]:
+        """The rows of the nodes at both ends of a branch, in service or not."""
+        branch = self.branch(branch_id)
+        of_ends = (p.from_phases, p.to_phases) if (p := branch.primitive) else ("", "")
+        ends = zip((branch.from_bus, branch.to_bus), of_ends, strict=True)
+        return [self.node(bus, phase) for bus, phases in ends for phase in list_phases(phases)]
+
+    def live_nodes_at(self, bus: int) -> np.ndarray:
+        """The rows of the nodes of a bus that have supply."""
+        rows = self.nodes_at(bus)
+        return rows[~self.is_dead[rows]] if self.dead else rows
+
     def check_balanced(self, purpose: str) -> None:
         """Raises InvalidInputError where buses have phases, which ``purpose`` cannot serve."""
         if not self.table.nodes.is_balanced:
@@ -243,7 +262,9 @@ class Network:
         return {branch: self.branch(branch).in_service for branch, is_switch in given if is_switch}
 
     def operated(self, closed: Mapping[str, bool]) -> Network:
-        """The same network with switches as in ``closed``: switch -> True where it is closed; others stay."""
+        """The same network with switches as in ``closed``: switch -> True where it is closed; others stay. Where one
+        changes no node is ``dead`` yet.
+        """
         changed = {switch: status for switch, status in closed.items() if self.switches.get(switch, status) != status}
         if not changed:
             return self
@@ -252,9 +273,29 @@ class Network:
             for row, branch in enumerate(self.branch_ids):
                 in_service[row] = changed.get(branch, in_service[row])
             columns = self.branches.columns | {"in_service": in_service}
-            return replace(self, branches=Records(self.branches.make, columns))
+            return replace(self, branches=Records(self.branches.make, columns), dead=())
         statuses = ((branch, changed.get(branch.id, branch.in_service)) for branch in self.branches)
-        return replace(self, branches=tuple(replace(branch, in_service=status) for branch, status in statuses))
+        return replace(self, branches=tuple(replace(branch, in_service=status) for branch, status in statuses), dead=())
+
+    def supplied(self) -> Network:
+        """The whole network, in which the nodes are ``dead`` that no path of conductors joins to the substation."""
+        if self.slack is None:
+            return self
+        island = self.table.node_island
+        return self.with_dead(~np.isin(island, island[self.nodes_at(self.slack.bus)]))
+
+    def with_dead(self, is_dead: np.ndarray) -> Network:
+        """The network with these ``dead`` nodes, (n_nodes,). All buses and branches stay, and so do the rows.
+
+        Loads and shunts between a dead phase and a live one draw nothing. Windings do, and a phase behind them lives.
+        """
+        dead = tuple(np.flatnonzero(is_dead).tolist())
+        return self if dead == self.dead else replace(self, dead=dead)
+
+    @property
+    def is_dead(self) -> np.ndarray:
+        """True for nodes without supply, (n_nodes,)."""
+        return self.table.is_dead
 
     @cached_property
     def with_tap_steps(self) -> tuple[Branch, ...]:
@@ -278,7 +319,7 @@ class Network:
 
     @cached_property
     def legs(self) -> Legs:
-        """The legs of all loads; of a balanced network one for each bus."""
+        """The legs of all loads but those at dead phases; of a balanced network one for each bus."""
         if self.table.nodes.is_balanced:
             node = np.arange(self.n_nodes)
             ground, exponents = np.full(len(node), GROUND), np.zeros((len(node), 2))
@@ -287,7 +328,9 @@ class Network:
         node, other = np.array([[*of_leg, GROUND][:2] for of_leg in ends], dtype=np.int64).reshape(-1, 2).T
         s = np.array([load.s for load in self.loads], dtype=complex)
         exponents = np.array([load.exponents for load in self.loads], dtype=float).reshape(-1, 2)
-        return Legs(node, other, s, exponents, find_nominal(self.table.nodes))
+        lives = ~np.append(self.is_dead, False)  # the last one for GROUND
+        at = np.flatnonzero(lives[node] & lives[other])
+        return Legs(node[at], other[at], s[at], exponents[at], find_nominal(self.table.nodes))
 
     @cached_property
     def scheduled(self) -> np.ndarray:
@@ -352,7 +395,11 @@ class Network:
         return list(self.find_unreached(self.slack.bus, "the substation")) or list(self.find_ungrounded_supply())
 
     def find_unreached(self, start: int, called: str) -> Iterator[str]:
-        """Buses and phases that no path in service joins to bus ``start``, ``called`` so, as text."""
+        """Buses and phases that no path in service joins to bus ``start``, ``called`` so, as text; none where they are
+        ``dead``, which is known.
+        """
+        if self.dead:
+            return
         path = "no path of branches in service joins"
         if buses := self.find_unreached_buses(start):
             yield f"{path} bus {', '.join(map(str, buses))} to {called}"
@@ -369,8 +416,9 @@ class Network:
         supplied = [(load.bus, f"the load {load.bus}.{load.phases}") for load in self.loads if load.phases in PHASES]
         supplied += [(g.bus, f"the generator at bus {g.bus}") for g in self.generators if g.control is Control.POWER]
         supplied += [(bus, f"the extra load at bus {bus}") for bus in further]
+        dead = {bus for bus in ungrounded if self.is_dead[self.nodes_at(bus)].all()}
         for bus, called in supplied:
-            if bus in ungrounded:
+            if bus in ungrounded and bus not in dead:
                 yield f"{called} stands between phase and ground in a part without ground; use a leg between two phases"
 
 

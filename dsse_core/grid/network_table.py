@@ -28,7 +28,7 @@ class NetworkTable:
     admittances: ``f``, ``t`` the rows of their ends, ``ys`` their series admittance, ``ends`` the admittance at each
     end, ``ratio`` their complex tap ratio. ``shunt`` (n_bus,) complex. ``phases`` (n_bus,): set of phases of each bus.
     ``primitives``: row of a branch -> its admittances over its ports, of all branches where buses have phases.
-    ``shunts``: further ones, of some phases.
+    ``shunts``: further ones, of some phases. ``dead``: rows of nodes without supply.
     """
 
     bus_id: np.ndarray
@@ -45,6 +45,7 @@ class NetworkTable:
     phases: np.ndarray
     primitives: Mapping[int, Primitive]
     shunts: Sequence[Shunt] = ()
+    dead: Sequence[int] = ()
 
     @cached_property
     def nodes(self) -> PhaseRows:
@@ -66,6 +67,22 @@ class NetworkTable:
         return read_phases(texts).reshape(2, -1)
 
     @cached_property
+    def is_dead(self) -> np.ndarray:
+        """True for nodes without supply, (n_nodes,)."""
+        found = np.zeros(len(self.nodes), dtype=bool)
+        found[list(self.dead)] = True
+        return found
+
+    @cached_property
+    def carrying(self) -> list[Primitive]:
+        """The admittances over their ports of the branches in service, with phases, without their dead conductors."""
+        found, n = [self.primitives[k] for k in self.active.tolist()], len(self.active)
+        is_dead = self.is_dead[self.port_node]
+        for k in np.unique(self.ports.item[is_dead] % n).tolist() if self.dead else ():
+            found[k] = found[k].without(is_dead[np.concatenate([self.ports.at(k), self.ports.at(n + k)])])
+        return found
+
+    @cached_property
     def port_node(self) -> np.ndarray:
         """The node of each port, (n_port,)."""
         bus: np.ndarray = np.concatenate([self.f, self.t])[self.ports.item]
@@ -75,13 +92,15 @@ class NetworkTable:
     def of_shunts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Entries, rows and columns, both nodes, of the admittances of shunts; the first ones stand at each node.
 
-        A shunt of a bus stands at each of its nodes, one of a leg between the two ends of it.
+        A shunt of a bus stands at each of its nodes, one of a leg between the two ends of it, if both live.
         """
         own, nodes = np.arange(len(self.nodes)), self.nodes
         y, row, column = [self.shunt[nodes.item]], [own], [own]
         for shunt in self.shunts:
             phase = np.array([PHASES.index(name) for name in list_phases(shunt.phases)])
             ends = nodes.find(np.full(len(phase), self.rows.row_of(shunt.bus)), phase)
+            if self.is_dead[ends].any():
+                continue
             sign = np.array([1.0, -1.0])[: len(ends)]
             y.append(shunt.y * np.outer(sign, sign).ravel())
             row.append(np.repeat(ends, len(ends)))
@@ -220,8 +239,12 @@ def _find_joined_ports(primitive: Primitive) -> tuple[np.ndarray, np.ndarray]:
     return row, column
 
 
-def tabulate(buses: Sequence[Any], branches: Sequence[Any], shunts: Sequence[Shunt] = ()) -> NetworkTable:
-    """The columns of all ``Bus`` and ``Branch`` of a network, which are visited once, and its further ``shunts``."""
+def tabulate(
+    buses: Sequence[Any], branches: Sequence[Any], shunts: Sequence[Shunt] = (), dead: Sequence[int] = ()
+) -> NetworkTable:
+    """The columns of all ``Bus`` and ``Branch`` of a network, which are visited once, its further ``shunts``, and the
+    rows of its ``dead`` nodes.
+    """
     p, q, g_shunt, b_shunt = (read_column(buses, name, float) for name in ("p_load", "q_load", "g_shunt", "b_shunt"))
     r, x, g, b = (read_column(branches, name, float) for name in ("r", "x", "g", "b"))
     return NetworkTable(
@@ -239,6 +262,7 @@ def tabulate(buses: Sequence[Any], branches: Sequence[Any], shunts: Sequence[Shu
         phases=_read_phases(buses),
         primitives=_read_primitives(branches),
         shunts=shunts,
+        dead=dead,
     )
 
 

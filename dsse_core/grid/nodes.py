@@ -125,6 +125,15 @@ class Primitive:
             return False
         return bool(abs(y[:, :n] + y[:, n:]).max() <= ROUNDING * abs(y).max())
 
+    def without(self, dead: np.ndarray) -> Primitive:
+        """The branch with no current at its ports ``dead`` (n_port,): there and between them and others y is 0.
+
+        What flows between the others then follows from ``i_dead = 0``, so that a dead conductor of a line couples no
+        other two, and its own voltage, which coupling causes, counts nowhere.
+        """
+        y, idle = _eliminate(self.y, dead), _eliminate(self.y - self.charging, dead)
+        return Primitive(self.from_phases, self.to_phases, y, y - idle)
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Primitive):
             return NotImplemented
@@ -133,3 +142,11 @@ class Primitive:
 
     def __hash__(self) -> int:
         return hash((self.from_phases, self.to_phases, self.y.tobytes()))
+
+
+def _eliminate(y: np.ndarray, dead: np.ndarray) -> np.ndarray:
+    """Admittances ``y`` over all ports without the ports ``dead``, whose rows and columns become 0."""
+    live, left = np.flatnonzero(~dead), np.zeros_like(y)
+    to_live = y[np.ix_(live, dead)] @ np.linalg.pinv(y[np.ix_(dead, dead)], rcond=ROUNDING)
+    left[np.ix_(live, live)] = y[np.ix_(live, live)] - to_live @ y[np.ix_(dead, live)]
+    return left

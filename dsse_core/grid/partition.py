@@ -251,7 +251,7 @@ class Partition:
         network = self.network.operated(closed)
         if network is self.network:
             return self
-        return replace(self, network=network, areas=tuple(area.operated(closed) for area in self.areas))
+        return replace(self, network=network.supplied(), areas=tuple(area.operated(closed) for area in self.areas))
 
     @cached_property
     def _by_name(self) -> dict[str, Area]:

@@ -64,8 +64,7 @@ def find_alternatives(area: Area, received: Mapping[str, Pieces]) -> dict[str, N
     """
     fed, found = find_pieces(area, received) == FED, {}
     for switch, is_closed in area.network.switches.items():
-        other, branch = area.operated({switch: not is_closed}), area.network.branch(switch)
-        ends = [*area.network.nodes_at(branch.from_bus), *area.network.nodes_at(branch.to_bus)]
+        other, ends = area.operated({switch: not is_closed}), area.network.nodes_of(switch)
         if fed[ends].all() and ((find_pieces(other, received) == FED) == fed).all():
-            found[switch] = other.network
+            found[switch] = other.network.with_dead(~fed)
     return found

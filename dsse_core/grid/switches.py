@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from dsse_core.grid.columns import take_items
 from dsse_core.grid.measurement import Measurement, Meter
-from dsse_core.grid.meter_table import read_meters_of
+from dsse_core.grid.meter_table import average, read_meters_of, tabulate_meters
 from dsse_core.grid.network import Network
 
 Status = Literal["open", "closed"]
@@ -47,20 +46,21 @@ def take_own(network: Network, statuses: Mapping[str, str]) -> dict[str, str]:
 
 
 def take_fed(network: Network, readings: Sequence[Measurement]) -> tuple[Network, Sequence[Measurement]]:
-    """The part of ``network`` that closed branches join to the substation, and its ``readings``."""
-    readings = keep_in_service(network, readings)
-    dead = set(network.find_unreached_buses(network.slack.bus)) if network.slack else set()
-    if not dead:
+    """The whole ``network`` with its dead nodes, and the ``readings`` of meters in service where there is supply."""
+    network, readings = network.supplied(), keep_in_service(network, readings)
+    if not network.dead:
         return network, readings
-    part = replace(
-        network,
-        buses=tuple(bus for bus in network.buses if bus.id not in dead),
-        branches=tuple(branch for branch in network.branches if not {branch.from_bus, branch.to_bus} & dead),
-        generators=tuple(generator for generator in network.generators if generator.bus not in dead),
-        loads=tuple(load for load in network.loads if load.bus not in dead),
-        shunts=tuple(shunt for shunt in network.shunts if shunt.bus not in dead),
-    )
-    return part, [reading for reading in readings if reading.meter.bus not in dead]
+    return network, take_items(readings, np.flatnonzero(~find_dead_meters(network, read_meters_of(readings))))
+
+
+def find_dead_meters(network: Network, meters: Sequence[Meter]) -> np.ndarray:
+    """True for each of ``meters`` in service that has an end at a dead node, of a total all its ends, (n_meas,)."""
+    if not network.dead:
+        return np.zeros(len(meters), dtype=bool)
+    table, of_meter = tabulate_meters(network, meters).spread()
+    is_dead = np.append(network.is_dead, False)  # the last one for the ground
+    dead = is_dead[table.node] if table.other is None else is_dead[table.node] | is_dead[table.other]
+    return np.asarray(average(dead.astype(float), of_meter) == 1.0)
 
 
 def keep_in_service(network: Network, readings: Sequence[Measurement]) -> Sequence[Measurement]:

@@ -187,7 +187,7 @@ def build_whole_grid(network: Network, meters: Sequence[Meter], reference: int) 
         into_area=None,
         z=nothing,
         sigma=nothing,
-        free=np.delete(np.arange(len(flat)), network.nodes_at(reference)),
+        free=network.find_unknown(reference),
         meters=meters,
         reference=reference,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -112,11 +112,18 @@ def solve_with_plan(
 ) -> PowerFlowResult:
     """The power flow with injections ``scheduled``, complex, and mismatches up to ``limit``: (n_nodes,), p.u.
 
-    Loads that depend on voltages count in ``scheduled`` as at nominal voltages.
+    Loads that depend on voltages count in ``scheduled`` as at nominal voltages. Dead nodes have the voltage 0.
 
     Raises:
         PowerFlowDivergedError: names the bus with the largest mismatch.
     """
+    found, lives = _solve(plan, scheduled, limit, max_iterations), ~plan.network.is_dead
+    if lives.all():
+        return found
+    return replace(found, vm=found.vm * lives, va=found.va * lives, injection=found.injection * lives)
+
+
+def _solve(plan: PowerFlowPlan, scheduled: np.ndarray, limit: np.ndarray, max_iterations: int) -> PowerFlowResult:
     found = None
     if isinstance(plan.paths, TreePaths):
         found = _sweep(plan.paths, plan, scheduled, limit)

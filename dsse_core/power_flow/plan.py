@@ -61,10 +61,10 @@ class PowerFlowPlan:
         return self._nodes_but_at(self.held)
 
     def _nodes_but_at(self, buses: Iterable[int]) -> np.ndarray:
-        """Rows of the nodes of all other buses."""
+        """Rows of the nodes with supply of all other buses."""
         is_kept = np.ones(len(self.network.table.bus_id), dtype=bool)
         is_kept[[self.network.row[bus] for bus in buses]] = False
-        return np.flatnonzero(is_kept[self.network.table.nodes.item])
+        return np.flatnonzero(is_kept[self.network.table.nodes.item] & ~self.network.is_dead)
 
     @cached_property
     def model(self) -> MeasurementModel:
@@ -161,7 +161,8 @@ def _lay_out(
     if method == "newton":
         return "not asked for"
     if not network.table.nodes.is_balanced:  # no other bus holds its voltage
-        return CurrentSweeps(network, build_admittance(network), find_voltages(start), network.nodes_at(slack_bus))
+        given = np.union1d(network.nodes_at(slack_bus), network.dead).astype(np.intp)
+        return CurrentSweeps(network, build_admittance(network), find_voltages(start), given)
     paths: TreePaths | str = "other buses than the slack hold their voltage"
     if len(held) == 1:
         paths = lay_out_paths(network, slack_bus, start[len(start) // 2 :])

@@ -20,6 +20,7 @@ from dsse_core.grid.meter_table import (
 )
 from dsse_core.grid.network import Network
 from dsse_core.grid.quantities import Quantity
+from dsse_core.grid.switches import find_dead_meters
 from dsse_core.results.columns import MeterColumns
 from dsse_core.results.state import GridState, read_state
 from dsse_core.results.table import ALL_PHASES, NO_SCAN, ScanLabel, Table
@@ -77,7 +78,7 @@ def make_meter_table(
         branch=[branch or "" for branch in texts["branch"]],
         phase=[phases or ALL_PHASES for phases in texts["phases"]],
         source=texts["source"],
-        status=_find_status(row_of, np.isnan(values), removed, critical, find_unsupplied(state.network, texts["bus"])),
+        status=_find_status(row_of, np.isnan(values), removed, critical, find_dead_meters(state.network, meters)),
         **in_units,
         normalised_residual=normalised,
         scan=scan,
@@ -104,11 +105,6 @@ def read_in_own_units(meters: Table) -> dict[str, np.ndarray]:
 def _find_rows(ids: Sequence[str], wanted: Collection[str]) -> dict[str, int]:
     """Id -> its position in ``ids``, for each of ``wanted`` that is there."""
     return {meter: row for row, meter in enumerate(ids) if meter in wanted} if wanted else {}
-
-
-def find_unsupplied(network: Network, bus: Sequence[int] | np.ndarray) -> np.ndarray:
-    """True for each id in ``bus`` to which no closed branches lead from the substation, (n,)."""
-    return np.isin(bus, network.find_unreached_buses(network.slack.bus) if network.slack else ())
 
 
 def _find_status(

@@ -124,7 +124,7 @@ def compare(
     return Comparison(
         partition=partition,
         truth=Voltages(truth.vm, truth.va) if truth else unknown,
-        centralised=_spread(partition, centralised) if centralised else unknown,
+        centralised=Voltages(centralised.result.vm, centralised.result.va) if centralised else unknown,
         decentralised=whole,
         sigma=sigma,
         by_area=by_area,
@@ -135,18 +135,6 @@ def compare(
         },
         label=_label(states.values()),
     )
-
-
-def _spread(partition: Partition, centralised: BadDataReport) -> Voltages:
-    """The centralised voltages of all nodes, 0 where the estimate leaves them out as they have no supply."""
-    result, n = centralised.result, partition.network.n_nodes
-    if result.network.n_nodes == n:
-        return Voltages(result.vm, result.va)
-    row = {node: k for k, node in enumerate(partition.network.nodes)}
-    rows = [row[node] for node in result.network.nodes]
-    whole = Voltages(np.zeros(n), np.zeros(n))
-    whole.vm[rows], whole.va[rows] = result.vm, result.va
-    return whole
 
 
 def _label(states: Collection[StateMessage]) -> ScanLabel:

@@ -39,11 +39,10 @@ def make_run_tables(
 
     Areas publish standard deviations of voltages only. Those of other quantities, and of residuals, come from the
     covariance of the centralised estimate, at buses where both agree on those of all magnitudes (SAME_SIGMA); elsewhere
-    they are nan, as everywhere while a part of the grid has no supply, or the statuses of switches differ.
+    they are nan, as everywhere while the statuses of switches differ.
     """
     state = join_states(comparison.partition, comparison.published)
-    central = centralised.result.network if centralised is not None else state.network
-    if (central.n_nodes, central.switches) != (state.network.n_nodes, state.network.switches):
+    if centralised is not None and centralised.result.network.switches != state.network.switches:
         centralised = None
     compared = {
         "true": (comparison.truth.vm, comparison.truth.va),

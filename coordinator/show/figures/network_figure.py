@@ -25,7 +25,6 @@ from coordinator.show.figures.style import GREY, VERMILLION, Drawing
 from dsse_core.estimation.state_limits import OperatingLimits
 from dsse_core.grid.gauge import describe_ungrounded
 from dsse_core.grid.network import Network
-from dsse_core.results.meters import find_unsupplied
 
 COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.15, 0.95, 256)))
 """Even steps of lightness, also for the colour-blind and for grey print; without the ends, which pages would hide."""
@@ -40,9 +39,9 @@ def draw_network(outcome: RunOutcome) -> Drawing:
     """
     partition, network, limits = outcome.scenario.partition, outcome.scenario.network, outcome.scenario.operating_limits
     nodes = network.table.nodes
-    vm = find_worst(network, np.where(outcome.buses.fresh, outcome.comparison.decentralised.vm, np.nan), limits)
-    dead = find_unsupplied(network, network.table.bus_id)
-    vm[dead] = np.nan
+    is_shown = outcome.buses.fresh & ~network.is_dead
+    vm = find_worst(network, np.where(is_shown, outcome.comparison.decentralised.vm, np.nan), limits)
+    dead = np.logical_and.reduceat(network.is_dead, nodes.first)
     layout = lay_out(network)
     known = np.flatnonzero(~np.isnan(vm))
     ends = [int(known[np.argmin(vm[known])]), int(known[np.argmax(vm[known])])] if len(known) else []

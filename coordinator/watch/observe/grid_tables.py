@@ -19,10 +19,11 @@ from coordinator.watch.observe.view import View
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.grid.measurement import Meter, Source
 from dsse_core.grid.partition import Partition
+from dsse_core.grid.switches import find_dead_meters
 from dsse_core.results.branches import find_loading, make_branch_table
 from dsse_core.results.buses import make_bus_table
 from dsse_core.results.flows import Flows, build_branch_model
-from dsse_core.results.meters import DEAD, find_unit_sizes, find_unsupplied
+from dsse_core.results.meters import DEAD, find_unit_sizes
 from dsse_core.results.state import AreaVoltages, join_states
 from dsse_core.results.table import ALL_PHASES, Freshness, Table
 from dsse_core.results.totals import division_of
@@ -142,7 +143,8 @@ class _MeterRows:
 
     ``of``: meters and areas of the readings. ``known``: rows of the readings whose meters are in the scenario;
     ``are_all``: True if all are. ``size``: sizes of the units of these meters. ``silent_areas``: areas of the meters
-    without a reading. ``columns``: of the meters in ``known``, then of those without a reading.
+    without a reading. ``columns``: of the meters in ``known``, then of those without a reading. ``dead``: rows there of
+    those without supply.
     """
 
     of: tuple[list[str], list[str]]
@@ -151,6 +153,7 @@ class _MeterRows:
     size: np.ndarray
     silent_areas: list[str]
     columns: Mapping[str, Any]
+    dead: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -243,7 +246,7 @@ class GridTables:
         gap = np.full(len(rows.silent_areas), np.nan)
         status = [*plain["status"]] if rows.are_all else [plain["status"][k] for k in rows.known.tolist()]
         status += [SILENT if area in readings else UNKNOWN for area in rows.silent_areas]
-        for row in np.flatnonzero(find_unsupplied(self.scenario.network, rows.columns["bus"])).tolist():
+        for row in rows.dead.tolist():
             status[row] = DEAD
         sized = "reading", "sigma", "estimate"
         with np.errstate(over="ignore"):
@@ -272,10 +275,9 @@ class GridTables:
             **({} if is_balanced else {"phase": tuple(meter.phases or ALL_PHASES for meter in all_meters)}),
             "unit": tuple(meter.kind.quantity.unit for meter in all_meters),
         }
-        size = find_unit_sizes(self.scenario.network, listed)
-        rows = _MeterRows(
-            (meters, areas), np.array(known, dtype=np.int64), len(known) == len(meters), size, silent_areas, columns
-        )
+        size, are_all = find_unit_sizes(self.scenario.network, listed), len(known) == len(meters)
+        dead = np.flatnonzero(find_dead_meters(self.scenario.network, all_meters))
+        rows = _MeterRows((meters, areas), np.array(known, dtype=np.int64), are_all, size, silent_areas, columns, dead)
         self._last_rows[:] = [rows]
         return rows
 

@@ -16,12 +16,13 @@ from coordinator.watch.observe.switches import find_statuses
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.grid.measurement import MeasurementKind
+from dsse_core.grid.nodes import name_node
 from dsse_core.grid.switches import keep_in_service
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import Scenario
 from scenarios.telemetry import Telemetry, make_telemetry
-from tests.support.levels import further
-from tests.support.rings import ACROSS, TIES, tied33
+from tests.support.levels import further, many_more
+from tests.support.rings import ACROSS, TIES, switched13, tied33
 from tests.support.simulated_bus import SimulatedBus, area_files_of, with_links
 
 GAP = 1e-9  # p.u.
@@ -126,12 +127,11 @@ def assert_equals_fed_centre(bus: SimulatedBus, scenario: Scenario, telemetry: T
     totals = bus.protocols["area1"].outcome.totals
     assert totals.objective == pytest.approx(report.objective, rel=1e-6)
     assert totals.degrees_of_freedom == report.degrees_of_freedom
-    for area in scenario.partition.areas:
-        at = {bus_id: k for k, bus_id in enumerate(bus.states[area.name].buses)}
-        for dead in scenario.network.find_unreached_buses(scenario.network.slack.bus):
-            if dead in at:
-                assert bus.states[area.name].vm[at[dead]] == bus.states[area.name].sigma_vm[at[dead]] == 0.0
-                assert f"vm@{dead}" not in bus.states[area.name].removed
+    dead = {scenario.network.nodes[row] for row in scenario.network.dead}
+    for state in bus.states.values():
+        for node, vm, sigma in zip(state.nodes, state.vm, state.sigma_vm, strict=True):
+            assert (vm == 0.0) == (sigma == 0.0) == (node in dead)
+        assert not {f"vm@{name_node(*node)}" for node in dead} & set(state.removed)
 
 
 DARK = [(3, {"28-29": False}), (5, {"7-8": False}), (8, {"7-8": False, "28-29": False}), (5, {"2-3": False})]
@@ -150,6 +150,27 @@ def test_a_section_without_supply_is_at_0_the_rest_as_if_it_were_the_grid_and_it
     order(bus, dict.fromkeys(opened, True), 2)
     bus.next_scan(before.by_area)
     bus.run(3.0)
+    assert_equals_fed_centre(bus, scenario, before)
+
+
+FEW_PHASES = [{"632-670.c": False, "633-680": False}, {"671-684.a": False}, {"60-632.a": False, "60-632.b": False}]
+DRAWN = [{s: k >> i & 3 > 0 for i, s in enumerate(switched13().network.switches)} for k in range(37, 8000, 398)]
+
+
+@pytest.mark.parametrize("closed", [*further(*FEW_PHASES[:2]), *many_more(*FEW_PHASES[2:], *DRAWN)])
+def test_phases_without_supply_are_at_0_the_others_as_the_centre_has_them_and_they_come_back(closed):
+    """The second scan: in the first one the earliest messages still speak of what is dead since, by coupling."""
+    bus, before = settle(scenario := switched13()), make_telemetry(scenario)
+    operated, telemetry, by_area = read_after(scenario, closed)
+    order(bus, closed)
+    for _ in range(2):
+        bus.next_scan(by_area)
+        bus.run(3.0)
+    assert_equals_fed_centre(bus, operated, telemetry)
+    order(bus, scenario.network.switches, 2)
+    for _ in range(2):
+        bus.next_scan(before.by_area)
+        bus.run(3.0)
     assert_equals_fed_centre(bus, scenario, before)
 
 

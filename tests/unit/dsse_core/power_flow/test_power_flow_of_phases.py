@@ -8,16 +8,20 @@ import numpy as np
 import pytest
 
 from dsse_core.errors import InvalidInputError, PowerFlowDivergedError
+from dsse_core.estimation.estimator import estimate_state
 from dsse_core.grid.loads import Load
-from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.grid.nodes import Primitive
 from dsse_core.grid.primitives import Side, build_bank, build_line, connect
+from dsse_core.grid.switches import take_fed
 from dsse_core.power_flow.batch import solve_power_flow_batch
 from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.power_flow.plan import build_power_flow_plan
+from dsse_core.results.deviations.choose import find_deviations
 from tests.support.ieee_feeders import NAMES, load_feeder, load_voltages
+from tests.support.phases import BUSES, KIND, WYE, bank, coupled_line, make_feeder
 
 Z = np.array([[0.0346 + 0.1018j, 0.0156 + 0.0502j, 0.0158 + 0.0424j], [0, 0.0337 + 0.1048j, 0.0154 + 0.0385j]])
 Z = np.triu([*Z, [0, 0, 0.0341 + 0.1035j]]) + np.triu([*Z, [0, 0, 0]], 1).T  # coupled conductors, p.u.
@@ -84,7 +88,7 @@ def test_derivatives_of_power_flows_with_legs_of_all_kinds_are_those_of_differen
 
 def test_meters_of_a_solved_feeder_read_what_the_circuit_has(feeder: Network) -> None:
     found = solve_power_flow(feeder)
-    kind = MeasurementKind
+    kind = KIND
     meters = [Meter(kind.VM, 4, phases="bc"), Meter(kind.P_FLOW, 3, "3-4", phases="b"), Meter(kind.VA, 5, phases="c")]
     meters += [Meter(kind.CURRENT, 5, "3-5", phases="a"), Meter(kind.Q_INJECTION, 3, phases="a")]
     exact, size = read_exactly(found, meters)
@@ -170,3 +174,56 @@ def test_feeders_have_the_voltages_of_opendss(name: str) -> None:
         assert abs(of_bus - of_bus[0]).max() < 1e-8
         if bus.id not in network.gauge.ungrounded:
             assert abs(of_bus).max() < 1e-8
+
+
+def test_phases_without_supply_leave_what_a_network_without_their_conductors_has_in_power_flow_and_estimate() -> None:
+    """The oracle has lines of two phases, whose impedances are those of the two: no current flows in the third one."""
+    whole = make_feeder()
+    lines = [_without_charging(b) for b in whole.branches if b.id not in ("632-671", "692-675")]
+    switches = [replace(coupled_line(f"632-671.{p}", (632, 671), p, 0.3), switch=True) for p in "abc"]
+    network = replace(whole, branches=(*lines, *switches, bank("692-675", (692, 675), WYE)))
+    operated = network.operated({"632-671.c": False})
+    live = {**{bus: phases.replace("c", "") for bus, phases in BUSES.items() if bus in (671, 684, 692, 675)}, 611: ""}
+    kept = {bus.id: live.get(bus.id, bus.phases) for bus in network.buses}
+    fewer = replace(
+        network,
+        buses=tuple(replace(bus, phases=kept[bus.id]) for bus in network.buses if kept[bus.id]),
+        branches=tuple(_without_c(b, kept) for b in operated.active_branches if b.id != "684-611"),
+        loads=tuple(load for load in network.loads if load.phases in kept[load.bus]),
+        shunts=tuple(shunt for shunt in network.shunts if set(shunt.phases) <= set(kept[shunt.bus])),
+    )
+    expected, flow = solve_power_flow(fewer), solve_power_flow(operated.supplied())
+    rows = [operated.node(*node) for node in fewer.nodes]
+    assert flow.vm[rows] == pytest.approx(expected.vm, abs=1e-12)
+    assert flow.va[rows] == pytest.approx(expected.va, abs=1e-12)
+    dead, powers = ["671.c", "684.c", "611.c", "692.c", "675.c"], (KIND.P_INJECTION, KIND.Q_INJECTION)
+    assert sorted(operated.node_names[k] for k in np.flatnonzero(flow.vm == 0)) == sorted(dead)
+    meters = [Meter(k, bus.id, phases=p) for bus in network.buses for p in bus.phases for k in powers]
+    meters += [Meter(KIND.VM, 650, phases=p) for p in "abc"]
+    meters += [Meter(KIND.P_FLOW, 692, "692-675"), Meter(KIND.VM, 671, phases="ac")]
+    z = flow.read_all(meters)
+    readings = [Measurement(meter, value, 1e-3) for meter, value in zip(meters, z.tolist(), strict=True)]
+    found = estimate_state(*take_fed(operated, readings))
+    assert abs(found.vm - flow.vm).max() < 1e-9
+    assert abs(found.va - flow.va).max() < 1e-9
+    assert found.objective < 1e-9
+    assert found.degrees_of_freedom == len(meters) - 2 * 5 - 1 - (2 * len(fewer.nodes) - 3)
+    assert not find_deviations(found).vm[flow.vm == 0].any()
+
+
+def _without_charging(branch: Branch) -> Branch:
+    p = branch.primitive
+    assert p is not None
+    return replace(branch, primitive=replace(p, y=p.y - p.charging, charging=0 * p.charging))
+
+
+def _without_c(branch: Branch, phases: dict[int, str]) -> Branch:
+    """``branch`` between the ``phases`` of its ends alone: its impedances, and its windings."""
+    p = branch.primitive
+    assert p is not None
+    kept = "".join(phase for phase in p.from_phases if phase in phases[branch.to_bus])
+    if kept == p.from_phases:
+        return branch
+    at = [p.from_phases.index(phase) for phase in kept]
+    z = np.linalg.inv(p.y[: len(p.from_phases), : len(p.from_phases)])[np.ix_(at, at)]
+    return replace(branch, primitive=build_line(kept, z))
