@@ -17,8 +17,9 @@ from dsse_core.endpoints import find_problems_in
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.strict_table import Table, fit_partly, load_partly
 from dsse_core.files.wording import Suggestions
-from dsse_core.grid.measurement import Meter
+from dsse_core.grid.measurement import Meter, find_meter_problems
 from dsse_core.grid.measurement import Source as Origin
+from dsse_core.grid.network import Network
 from dsse_core.grid.switches import name_status_meter
 from scenarios.files.readings.rows import parse_meter
 from scenarios.scenario import RESERVED, Scenario, load_scenario
@@ -162,7 +163,7 @@ def _make_points(
         if source and "address" not in wrong and (problem := source.find_address_problem(table.address)):
             found.append(f"address {table.address!r:.80}: {problem}")
         if scenario and "meter" not in wrong:
-            if unknown := list(_find_meter_problems(table, meters, close)):
+            if unknown := list(_find_meter_problems(table, meters, scenario.network, close)):
                 found += unknown
             else:
                 meter = meters[table.meter]
@@ -193,7 +194,7 @@ def _find_foreign(name: str, meter: Meter | SwitchStatus, area: str, scenario: S
 
 
 def _find_meter_problems(
-    table: ReadingTable, meters: Mapping[str, Meter | SwitchStatus], close: Suggestions
+    table: ReadingTable, meters: Mapping[str, Meter | SwitchStatus], network: Network, close: Suggestions
 ) -> Iterator[str]:
     meter = meters.get(table.meter)
     if meter is None and table.meter.startswith(name_status_meter("")):
@@ -201,8 +202,9 @@ def _find_meter_problems(
     elif meter is None:
         parsed = parse_meter(table.meter)
         if isinstance(parsed, str):
-            yield f"meter: {parsed}"
-        else:
-            yield f"meter {table.meter} is none of the scenario's [measurements]{close.find(table.meter)}"
+            problems = [f"meter: {parsed}"]
+        elif not (problems := list(find_meter_problems(network, [parsed]))):
+            problems = [f"meter {table.meter} is none of the scenario's [measurements]{close.find(table.meter)}"]
+        yield from problems
     elif isinstance(meter, Meter) and meter.source is Origin.VIRTUAL:
         yield f"meter {table.meter}: nothing is injected there, which the areas know; remove this reading"

@@ -37,6 +37,7 @@ def test_all_problems_of_a_map_are_named_at_once(write_map: Callable[..., Path])
             READING.format("d", "voltage@1", "kV", ""),
             READING.format("e", "vm@22", "kV", "highest = 1e9"),
             READING.format("f", "vm@30", "kV", "sigma = 1e-12"),
+            READING.format("g", "vm@99", "kV", ""),
         )
     )
     for expected in (
@@ -47,6 +48,7 @@ def test_all_problems_of_a_map_are_named_at_once(write_map: Callable[..., Path])
         "reading[5]: meter: 'voltage@1' is no meter id",
         "reading[6]: highest is 1e+09 kV",
         "reading[7]: the least sigma is 1e-12 kV",
+        "reading[8]: meter vm@99: bus 99 is not in network",
     ):
         assert expected in text
 
