@@ -51,15 +51,16 @@ class RowSolver(LinearArea):
     def stack(self, x: np.ndarray, received: Received) -> tuple[Matrix, np.ndarray, np.ndarray]:
         """H, residual and sigma of the area's own measurements, its further rows, and the messages ``received``."""
         rows, further = self.rows, [rows.at(x) for rows in self.model.further]
+        H = rows.jacobian(x)  # which finds h(x) in passing
         own, of_own = self.model.rows_where(rows.predict(x))
         messages, of_messages = rows.messages(x, received)
         if not (further or messages):
-            return rows.jacobian(x), own, of_own
+            return H, own, of_own
         r = np.concatenate([own, *(part.residual for part in further), *of_messages])
         sigma = np.ones(len(r))
         of_own = np.concatenate([of_own, *(part.sigma for part in further)])
         sigma[: len(of_own)] = of_own
-        return rows.join([rows.jacobian(x), *(rows.take(part.H) for part in further), *messages]), r, sigma
+        return rows.join([H, *(rows.take(part.H) for part in further), *messages]), r, sigma
 
 
 class TableauSolver(RowSolver):
@@ -70,7 +71,6 @@ class TableauSolver(RowSolver):
     nothing_of_voltage = NOTHING_OF_VOLTAGE
 
     def stack(self, x: np.ndarray, received: Received) -> tuple[sp.csr_array, np.ndarray, np.ndarray]:
-        self.rows.jacobian(x)  # which finds h(x) in passing
         H, r, sigma = super().stack(x, received)
         return cast("sp.csr_array", H), r, sigma
 
@@ -172,7 +172,9 @@ def shift_of_own_rows(model: AreaMeasurements, rows: Rows, x: np.ndarray, H: Mat
         own[model.current_parts, 1] = model.model.predict(ahead)[model.current_parts]
     B = np.concatenate([own, *(further.at(x).response for further in model.further)]) if model.further else own
     if model.fixed.size:
-        B[:, 1] -= H[: len(B), model.fixed].sum(axis=1)
+        turned = np.zeros(model.size)
+        turned[model.fixed] = 1.0
+        B[:, 1] -= (H @ turned)[: len(B)]
     return B
 
 
