@@ -15,7 +15,7 @@ those of one piece would be. A small area is one piece.
 other rows, as few as possible of them with variables of a piece (``turn_alone``). Their pivots may be far apart: beside
 a heavy one, a light one of size e becomes ``e + rounding`` and is known to ``rounding / e`` only. A row with a pivot
 below LIGHT of the largest goes up with the piece's variables that it still has, and a piece above, which has more of
-the exact rows, eliminates them.
+the exact rows, eliminates them. Where all pivots are far above other rows, all rows are eliminated at once.
 
 **Covariances** go down: with ``L_b L_b'`` that of x_b, L of the piece's variables is
 
@@ -40,9 +40,10 @@ from dsse_core.grid.columns import split_by
 from dsse_core.grid.network_table import NetworkTable
 from dsse_core.grid.radial_order import walk_graph
 from dsse_core.linear.interface import Matrix
-from dsse_core.linear.reflections import Eliminated, eliminate, turn_alone
+from dsse_core.linear.reflections import NOISE, Eliminated, eliminate, turn_alone
 
-PIECE = 20  # nodes, or up to twice as many: with 10 or 60 a step takes a quarter longer
+PIECE = 20  # nodes, or up to twice as many: with 10 or 40 a step takes a quarter longer
+CLEAR = 100.0  # times the largest entry of other rows: only exact rows have such pivots
 ENOUGH = 1e8  # times the root of the least information: a pivot above it needs no row of next to no weight
 LIGHT = 1e-7  # of the largest pivot of exact rows: lighter than other rows, which have sigmas of some 1e-3
 
@@ -51,14 +52,14 @@ LIGHT = 1e-7  # of the largest pivot of exact rows: lighter than other rows, whi
 class Piece:
     """A part of the variables within an area, by columns: those within, then those of the boundaries, shifts last.
 
-    ``rows``: rows of the area, ``exact`` the places of exact ones among them. ``entries``: of H, at ``at``: places in
-    ``rows``, and in ``own`` and ``others``; unused where H is dense. ``above``: the piece to which rows go up.
+    ``rows``: rows of the area, the first ``n_exact`` of them exact. ``entries``: of H, at ``at``: places in ``rows``,
+    and in ``own`` and ``others``; unused where H is dense. ``above``: the piece to which rows go up.
     """
 
     own: np.ndarray
     others: np.ndarray
     rows: np.ndarray
-    exact: np.ndarray
+    n_exact: int
     entries: np.ndarray
     at: tuple[np.ndarray, np.ndarray]
     above: int
@@ -83,13 +84,15 @@ class _Up(NamedTuple):
 class _Joined(NamedTuple):
     """Rows of a piece with their ``columns`` and residuals; ``n`` columns, the first ones, are to be eliminated.
 
-    ``exact``: the places of exact rows. ``below``: pieces, and the first places of their rows beside exact ones.
+    The first ``n_exact`` rows are exact. ``first``: the first place of the piece's own rows. ``below``: pieces, and the
+    first places of their rows beside exact ones.
     """
 
     A: np.ndarray
     columns: np.ndarray
     n: int
-    exact: np.ndarray
+    n_exact: int
+    first: int
     below: list[tuple[int, int]]
 
 
@@ -97,8 +100,8 @@ class _Done(NamedTuple):
     """A piece with its ``own`` variables eliminated, beside ``others``.
 
     ``packed``: the rows left, turned into as many as others; None where there are no more. ``kept``: the places of the
-    eliminated rows, None of all, among ``n_rows``: the area's own, then those of the pieces in ``below``, with their
-    first places.
+    eliminated rows, None of all, among ``n_rows``. ``first``: the first place of the area's own rows. ``below``: pieces
+    below, and the first places of their rows.
     """
 
     own: np.ndarray
@@ -107,6 +110,7 @@ class _Done(NamedTuple):
     packed: Eliminated | None
     kept: np.ndarray | None
     n_rows: int
+    first: int
     below: list[tuple[int, int]]
 
 
@@ -136,11 +140,13 @@ class Pieces:
         if isinstance(H, np.ndarray):
             none = np.zeros(0, dtype=int)
             own, others = np.split(np.arange(self._size), [n_within])
-            self._pieces = [Piece(own, others, np.arange(len(H)), exact, none, (none, none), 0)]
+            rows = np.concatenate([exact, np.delete(np.arange(len(H)), exact)])
+            self._pieces = [Piece(own, others, rows, len(exact), none, (none, none), 0)]
         else:
             self._pieces = self._divide(H, exact, piece, together)
         last = self._pieces[-1]
         weighed = np.append(last.own, np.arange(n_within, len(read)))
+        self._enough = ENOUGH * self._least[:n_within].max(initial=0.0)
         least = self._find_least_rows(last.columns, weighed)  # of the last piece
         self._least_rows = least[:, : len(last.own)], least[:, len(last.own) : -1]
 
@@ -163,8 +169,10 @@ class Pieces:
         names = np.unique(piece)
         count = max(len(names), 1)
         self.of_column[:], self.of_column[:n] = count - 1, np.searchsorted(names, piece)
+        self._row = np.repeat(np.arange(m), np.diff(H.indptr))
         entries, row, column = self._locate(H)
-        of_row = self.find_lowest(m, row, column)
+        of_row, is_exact = self.find_lowest(m, row, column), np.isin(np.arange(m), exact)
+        place = np.zeros(m, dtype=int)  # of rows in the piece at hand
         of_rows, of_entries = split_by(of_row, count), split_by(of_row[row], count)
         of_columns = split_by(self.of_column[:n], count)
         from_below: list[list[np.ndarray]] = [[] for _ in range(count)]
@@ -177,12 +185,13 @@ class Pieces:
         for k, (own, rows, here) in enumerate(zip(of_columns, of_rows, of_entries, strict=True)):
             others = np.setdiff1d(np.concatenate([column[here], shifts, *from_below[k]]), own)
             self._place[own], self._place[others] = np.arange(len(own)), len(own) + np.arange(len(others))
-            at = np.searchsorted(rows, row[here]), self._place[column[here]]
+            rows = np.concatenate([rows[is_exact[rows]], rows[~is_exact[rows]]])
+            place[rows] = np.arange(len(rows))
+            at = place[row[here]], self._place[column[here]]
             above = int(self.of_column[others].min())
             if k < count - 1:
                 from_below[above].append(others)
-            is_exact = np.flatnonzero(np.isin(rows, exact))
-            found.append(Piece(own, others, rows, is_exact, entries[here], at, above))
+            found.append(Piece(own, others, rows, int(is_exact[rows].sum()), entries[here], at, above))
         return found
 
     def _locate(self, H: sp.csr_array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -204,16 +213,16 @@ class Pieces:
         ``H`` (m, size) in all of x. ``beside`` (m, 3): the responses to the two shifts, and residuals. Rows are divided
         by ``sigma`` (m,).
         """
-        entries = H[:, self._read] if isinstance(H, np.ndarray) else H.data
+        beside = beside / sigma[:, None]
+        entries = H[:, self._read] / sigma[:, None] if isinstance(H, np.ndarray) else H.data / sigma[self._row]
         done: list[_Done] = []
         arrived: list[list[_Up]] = [[] for _ in self._pieces]
         for k, piece in enumerate(self._pieces[:-1]):
-            found, up = self._eliminate(k, piece, self._join(piece, entries, beside, sigma, arrived[k]))
+            found, up = self._eliminate(k, piece, self._join(piece, entries, beside, arrived[k]))
             done.append(found)
             arrived[piece.above].append(up)
-        done.append(
-            self._eliminate_last(self._join(self._pieces[-1], entries, beside, sigma, arrived[-1], self._least_rows))
-        )
+        joined = self._join(self._pieces[-1], entries, beside, arrived[-1], self._least_rows)
+        done.append(_eliminate_last(joined))
         return Reduction(done, self._pieces, self._n_within)
 
     def _join(
@@ -221,46 +230,40 @@ class Pieces:
         piece: Piece,
         entries: np.ndarray,
         beside: np.ndarray,
-        sigma: np.ndarray,
         arrived: list[_Up],
         least: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> _Joined:
-        """All rows of a piece: its own, then those from below, then ``least``; variables that come late stand after its
-        own.
+        """All rows of a piece: exact ones from below, its own, others from below, then ``least``; variables that come
+        late stand after its own.
         """
-        n, m = len(piece.own), len(piece.rows)
-        columns, exact, below = piece.columns, piece.exact, list[tuple[int, int]]()
-        n_late, n_rows = 0, m + (0 if least is None else len(least[0]))
-        if arrived:
-            late = [up.late for up in arrived]
+        n, m, columns, n_late = len(piece.own), len(piece.rows), piece.columns, 0
+        own, n_rows = sum(len(up.exact) for up in arrived), m + (0 if least is None else len(least[0]))
+        n_rows += own + sum(len(up.others) for up in arrived)
+        if late := [up.late for up in arrived if len(up.late)]:
             n_late = sum(map(len, late))
             columns = np.concatenate([piece.own, *late, piece.others])
-            n_rows += sum(len(up.exact) + len(up.others) for up in arrived)
-        is_dense = entries.ndim > 1
-        A = np.zeros((n_rows, len(columns) + 1), order="C" if is_dense else "F")  # F: that of LAPACK, slower if small
-        if is_dense:
-            A[:m, :-3], A[:m, -3:] = entries, beside
-            A[:m] /= sigma[:, None]
+        A = np.zeros((n_rows, len(columns) + 1), order="F")  # that of LAPACK
+        of_own = A[own : own + m]
+        if entries.ndim > 1:
+            of_own[:, :-3] = entries[piece.rows]
         else:
             row, column = piece.at
-            A[row, np.where(column < n, column, column + n_late) if n_late else column] = entries[piece.entries]
-            A[:m, -3:] = beside[piece.rows]
-            A[:m] /= sigma[piece.rows, None]
+            of_own[row, np.where(column < n, column, column + n_late) if n_late else column] = entries[piece.entries]
+        of_own[:, -3:] = beside[piece.rows]
         if least is not None:
             A[n_rows - len(least[0]) :, :n], A[n_rows - len(least[0]) :, n + n_late : -1] = least
+        below = []
         if arrived:
             self._place[columns] = np.arange(len(columns))
-            first, of_exact = m, [exact]
+            of_exact, first = 0, own + m
             for up in arrived:
                 at = np.append(self._place[up.columns], -1)
-                A[first : first + len(up.exact), at] = up.exact
-                of_exact.append(np.arange(first, first + len(up.exact)))
-                first += len(up.exact)
+                if len(up.exact):
+                    A[of_exact : of_exact + len(up.exact), at] = up.exact
                 A[first : first + len(up.others), at] = up.others
                 below.append((up.piece, first))
-                first += len(up.others)
-            exact = np.concatenate(of_exact)
-        return _Joined(A, columns, n + n_late, exact, below)
+                of_exact, first = of_exact + len(up.exact), first + len(up.others)
+        return _Joined(A, columns, n + n_late, own + piece.n_exact, own, below)
 
     def _eliminate(self, k: int, piece: Piece, joined: _Joined) -> tuple[_Done, _Up]:
         """A piece eliminated, but variables that its light exact rows take along, and the rows that go up.
@@ -268,21 +271,24 @@ class Pieces:
         A row of next to no weight for each variable joins them only where one is not determined: these rows would
         double the work.
         """
-        A, columns, n, exact, below = joined
-        over, n_rows, kept = A[:0], len(A), np.arange(len(A))
-        if len(exact):
-            A[exact], above = turn_alone(A[exact], n, LIGHT)
-            light = exact[above:]
-            if (is_late := A[light, :n].any(axis=0)).any():
+        A, columns, n, n_exact, first, below = joined
+        eliminated, over, n_rows, kept = _eliminate_at_once(joined, LIGHT), A[:0], len(A), None
+        if eliminated is None:
+            A[:n_exact], above = turn_alone(A[:n_exact], n, LIGHT)
+            over = A[above:n_exact]
+            if (is_late := over[:, :n].any(axis=0)).any():
                 order = np.argsort(is_late, kind="stable")  # late ones last
                 A[:, :n], columns = A[:, order], np.concatenate([columns[order], columns[n:]])
                 n -= int(is_late.sum())
-            over, kept = A[light], np.delete(kept, light)
-            A = A[kept]
-        eliminated, own = eliminate(A, n), columns[:n]
-        if eliminated.least_pivot < ENOUGH * self._least[own].max(initial=0.0):
+            if len(over):
+                kept = np.delete(np.arange(n_rows), slice(above, n_exact))
+                A = A[kept]
+            eliminated = eliminate(A, n)
+        own = columns[:n]
+        if eliminated.least_pivot < self._enough:
             eliminated = eliminate(np.concatenate([A, self._find_least_rows(columns, own)]), n)
-            kept, n_rows = np.append(kept, n_rows + np.arange(n)), n_rows + n
+            kept = np.append(np.arange(n_rows) if kept is None else kept, n_rows + np.arange(n))
+            n_rows += n
         packed, of_over = _pack(eliminated.rows), _pack(over[:, n:])
         up = _Up(
             piece=k,
@@ -291,13 +297,7 @@ class Pieces:
             exact=over[:, n:] if of_over is None else of_over.heads,
             others=eliminated.rows if packed is None else packed.heads,
         )
-        return _Done(own, columns[n:], eliminated, packed, kept, n_rows, below), up
-
-    def _eliminate_last(self, joined: _Joined) -> _Done:
-        A, columns, n, exact, below = joined
-        if len(exact):
-            A[exact], _ = turn_alone(A[exact], n)
-        return _Done(columns[:n], columns[n:], eliminate(A, n), None, None, len(A), below)
+        return _Done(own, columns[n:], eliminated, packed, kept, n_rows, first, below), up
 
     def _find_least_rows(self, columns: np.ndarray, of: np.ndarray) -> np.ndarray:
         """A row of next to no weight for each of the columns ``of``, among ``columns`` and residuals."""
@@ -392,7 +392,8 @@ class Reduction:
                 back, kept = np.zeros((done.n_rows, back.shape[1])), back
                 back[done.kept] = kept
             rows = self._pieces[k].rows
-            found[rows] = np.vecdot(back[: len(rows)], back[: len(rows)])
+            own = back[done.first : done.first + len(rows)]
+            found[rows] = np.vecdot(own, own)
             for below, first in done.below:
                 known[below] = _narrow(back[first : first + self._n_up(below)])
         return found
@@ -425,6 +426,34 @@ def divide_tree(table: NetworkTable, root: int) -> np.ndarray:
         weight[up] += size
     piece[piece < 0] = n_pieces  # out of reach of the root
     return piece
+
+
+def _eliminate_last(joined: _Joined) -> _Done:
+    A, columns, n, n_exact, first, below = joined
+    eliminated = _eliminate_at_once(joined, NOISE)
+    if eliminated is None:
+        A[:n_exact], _ = turn_alone(A[:n_exact], n)
+        eliminated = eliminate(A, n)
+    return _Done(columns[:n], columns[n:], eliminated, None, None, len(A), first, below)
+
+
+def _eliminate_at_once(joined: _Joined, least: float) -> Eliminated | None:
+    """Elimination of all rows, exact ones and others; None where the exact rows must be turned alone before.
+
+    These need no turn if each has a pivot above ``least`` of the largest, and CLEAR of all other rows.
+    """
+    A, _, n, n_exact, *_ = joined
+    if not n_exact:
+        return eliminate(A, n)
+    if n_exact > n:
+        return None
+    sizes = np.abs(A[:, :n]).max(axis=1)
+    clear = CLEAR * sizes[n_exact:].max(initial=0.0)
+    if sizes[:n_exact].min() < clear:
+        return None
+    eliminated = eliminate(A, n)
+    pivots = abs(eliminated.triangle.diagonal())
+    return eliminated if pivots[n_exact - 1] > max(least * pivots[0], clear) else None
 
 
 def _pack(rows: np.ndarray) -> Eliminated | None:

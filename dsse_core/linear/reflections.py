@@ -6,6 +6,7 @@ Accuracy and Stability of Numerical Algorithms, 20.3). The last column of all ro
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +34,7 @@ class Eliminated(NamedTuple):
         """The rows that eliminate the variables, (k, n + rest), with all columns in the order given."""
         n = len(self.order)
         rows = np.zeros((len(self.turned), n + self.turned.shape[1]))
-        rows[:, self.order], rows[:, n:] = np.triu(self.triangle), self.turned
+        rows[:, self.order], rows[:, n:] = _upper(self.triangle), self.turned
         return rows
 
     @property
@@ -55,7 +56,7 @@ class Eliminated(NamedTuple):
         return np.asarray(lapack.dtrtrs(self.triangle, dx[self.order], trans=1)[0]) if len(dx) else dx
 
     def _solve(self, b: np.ndarray) -> np.ndarray:
-        dx = np.zeros_like(b)
+        dx = np.empty(b.shape)
         if len(dx):
             dx[self.order] = lapack.dtrtrs(self.triangle, b)[0]
         return dx
@@ -89,7 +90,8 @@ def eliminate(rows: np.ndarray, n: int) -> Eliminated:
     rows = rows.T[:, taken].T  # in the order of LAPACK
     reflectors, order, tau, _, _ = lapack.dgeqp3(rows[:, :n], overwrite_a=1)
     Q = reflectors[:, : len(tau)], tau
-    turned = lapack.dormqr("L", "T", *Q, rows[:, n:], rows.size, overwrite_c=1)[0]
+    least_work = rows.shape[1] - n  # reflections one by one; a block of them takes longer at these sizes
+    turned = lapack.dormqr("L", "T", *Q, rows[:, n:], least_work, overwrite_c=1)[0]
     return Eliminated(reflectors[:n], order - 1, turned[:n], turned[n:], Q, taken)
 
 
@@ -104,7 +106,7 @@ def turn_alone(rows: np.ndarray, n: int, least: float = NOISE) -> tuple[np.ndarr
     """
     alone, turned = eliminate(rows, n), np.zeros_like(rows)
     k, T = len(alone.turned), alone.triangle
-    turned[:k, alone.order] = np.triu(T)
+    turned[:k, alone.order] = _upper(T)
     turned[:k, n:], turned[k:, n:] = alone.turned, alone.rows
     if not k or abs(T[k - 1, k - 1]) > least * abs(T[0, 0]):  # pivots do not increase
         return turned, k
@@ -119,9 +121,21 @@ def triangulate(rows: np.ndarray) -> np.ndarray:
     m, n = rows.shape
     if m < n:
         rows = np.pad(rows, ((0, n - m), (0, 0)))
-    return np.asarray(np.triu(lapack.dgeqrf(rows[_heavy_first(rows, n - 1)])[0][:n]))
+    return _upper(lapack.dgeqrf(rows[_heavy_first(rows, n - 1)])[0][:n])
 
 
 def _heavy_first(rows: np.ndarray, n: int) -> np.ndarray:
     """The order of ``rows`` by their largest entry in the first ``n`` columns."""
-    return np.argsort(-abs(rows[:, :n]).max(axis=1), kind="stable")
+    lightness: np.ndarray = -np.abs(rows[:, :n]).max(axis=1)
+    return lightness.argsort(kind="stable")
+
+
+def _upper(rows: np.ndarray) -> np.ndarray:
+    """``rows`` with 0 below the diagonal; np.triu makes a mask each time, which takes as long as small reflections."""
+    m, n = rows.shape
+    return np.where(_find_upper(1 << max(m, n).bit_length())[:m, :n], rows, 0.0)
+
+
+@lru_cache
+def _find_upper(n: int) -> np.ndarray:
+    return np.tri(n, dtype=bool).T
