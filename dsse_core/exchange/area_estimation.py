@@ -7,7 +7,7 @@ centralised estimate.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar, cast
 
@@ -199,8 +199,11 @@ class AreaEstimation:
 
     @property
     def dead_places(self) -> tuple[str, ...]:
-        """Names of the area's nodes without supply, or of ranges of buses."""
-        return _name_nodes(self.area.network, np.flatnonzero(self.dead).tolist())
+        """Names of the area's buses without supply, or of ranges of them, then of nodes of others."""
+        network, nodes = self.area.network, self.area.network.table.nodes
+        is_whole = np.logical_and.reduceat(self.dead, nodes.first)
+        alone = np.flatnonzero(self.dead & ~is_whole[nodes.item]).tolist()
+        return *_name_buses(network.table.bus_id[is_whole].tolist()), *(network.node_names[node] for node in alone)
 
     def pieces_for(self, neighbour: str, received: Mapping[str, Pieces]) -> Pieces:
         """The pieces of the boundary to ``neighbour`` on this side of it, before the first step; empty afterwards."""
@@ -593,8 +596,13 @@ def _name_nodes(network: Network, nodes: Sequence[int]) -> tuple[str, ...]:
     """Names of nodes: "671.a", of balanced buses "7" or "12-19"."""
     if network.node_phases:
         return tuple(network.node_names[node] for node in nodes)
+    return _name_buses(network.node_buses[node] for node in nodes)
+
+
+def _name_buses(buses: Iterable[int]) -> tuple[str, ...]:
+    """Names of buses: "7" or "12-19"."""
     runs: list[list[int]] = []
-    for bus in sorted(network.node_buses[node] for node in nodes):
+    for bus in sorted(buses):
         if runs and bus == runs[-1][-1] + 1:
             runs[-1].append(bus)
         else:

@@ -167,6 +167,14 @@ def test_phases_without_supply_are_at_0_the_others_as_the_centre_has_them_and_th
         bus.next_scan(by_area)
         bus.run(3.0)
     assert_equals_fed_centre(bus, operated, telemetry)
+    network = operated.network
+    notes = " ".join(note for state in bus.states.values() for note in state.notes if "without supply" in note)
+    dead = {
+        network.node_buses[node]: bool(network.is_dead[network.nodes_at(network.node_buses[node])].all())
+        for node in np.flatnonzero(network.is_dead).tolist()
+    }
+    assert dead
+    assert all((f"{at}." in notes) != is_whole for at, is_whole in dead.items())
     order(bus, scenario.network.switches, 2)
     for _ in range(2):
         bus.next_scan(before.by_area)
