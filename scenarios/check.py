@@ -41,7 +41,7 @@ def check_and_plan(scenario: Scenario, local_meters: LocalMeters | None = None) 
     problems += _find_angle_problems(scenario)
     plan = None
     try:
-        plan = _check_observable(scenario.network, scenario.meters, None)
+        plan = _check_observable(scenario.network, scenario.meters_with_supply, None)
     except NotObservableError as error:
         problems.append(f"whole grid: {error}")
     if local_meters is not None:
@@ -52,7 +52,7 @@ def check_and_plan(scenario: Scenario, local_meters: LocalMeters | None = None) 
 
 
 def plan_whole_grid(scenario: Scenario) -> EstimationPlan:
-    """The plan of an estimate of the whole grid from all meters.
+    """The plan of an estimate of the whole grid from all meters that have supply.
 
     Raises:
         InvalidInputError: naming every bus that is not observable, with a meter that would cure it, and the other
@@ -61,7 +61,7 @@ def plan_whole_grid(scenario: Scenario) -> EstimationPlan:
     problems = find_missing_local_slacks(scenario)
     problems += _find_angle_problems(scenario)
     try:
-        plan = build_estimation_plan(scenario.network, scenario.meters)
+        plan = build_estimation_plan(scenario.network, scenario.meters_with_supply)
     except NotObservableError as error:
         problems.append(f"whole grid: {error}")
     if problems:

@@ -21,7 +21,7 @@ from dsse_core.grid.measurement import KIND_OF, Measurement, Meter, Source, find
 from dsse_core.grid.meter_table import KINDS, join_meters, tabulate_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area, Partition
-from dsse_core.grid.switches import keep_in_service, keep_meters_in_service
+from dsse_core.grid.switches import find_dead_meters, keep_in_service, keep_meters_in_service
 from dsse_core.printable import listed, printable
 from dsse_core.reading_rules import ReadingRules
 from scenarios.faults.faults import (
@@ -122,6 +122,12 @@ class Scenario:
         if not rules.follow_clocks:
             return None
         return self.run.scan_s or min(rule.period_s for rule in rules.kinds.values() if rule.period_s)
+
+    @property
+    def meters_with_supply(self) -> Sequence[Meter]:
+        """The meters, but those of which no end has supply."""
+        dead = find_dead_meters(self.network, self.meters)
+        return take_items(self.meters, np.flatnonzero(~dead)) if dead.any() else self.meters
 
     def operated(self, closed: Mapping[str, bool]) -> Scenario:
         """The same scenario with switches as in ``closed``: switch -> True where it is closed; others stay. Meters at

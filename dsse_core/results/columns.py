@@ -67,7 +67,9 @@ class BusColumns:
     unbalance_percent: Numbers | None = None
     """negative by positive sequence of the bus; only with phases, as the next"""
     grounded: Truths | None = None
-    """false without path to ground: only voltages between phases, and sums of powers, mean anything"""
+    """false without path to ground: only voltages between phases, and sums of powers, mean anything; standard
+    deviations are empty
+    """
     sigma_vm_kv: Numbers
     sigma_p_kw: Numbers
     sigma_q_kvar: Numbers
@@ -247,6 +249,8 @@ class ScanColumns:
     removed_meters: Texts
     undecided_meters: Texts
     """number and ids of the meters removed as bad data, and ids of those that the readings do not tell from them"""
+    switched: Texts
+    """ids of switches that count the other way than given, as the readings contradict that"""
     bad_data_left: Truths
     """J still exceeds its limit"""
     lowest_vm_pu: Numbers

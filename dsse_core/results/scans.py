@@ -79,19 +79,22 @@ def make_scan_table(
     readings: np.ndarray,
     removed: Mapping[int, Sequence[str]],
     undecided: Mapping[int, Sequence[str]],
+    switched: Mapping[int, Sequence[str]],
     bad_data_left: np.ndarray,
 ) -> Table:
     """The table of the scans in ``batch``.
 
     ``names``: of the rows of ``batch``. (n_row,) each: ``times``, s since 1970 or nan, ``limits`` of J, the number of
     ``readings``, and ``bad_data_left``. ``removed``: row -> ids of the meters taken out; ``undecided``: row -> ids of
-    the meters that the readings do not tell from those.
+    the meters that the readings do not tell from those. ``switched``: row -> ids of the switches that count the other
+    way.
     """
     rows, table = np.arange(len(batch.vm)), batch.plan.network.table
     nodes, bus = table.nodes, table.bus_id[table.nodes.item]
-    found, failures = ~np.isnan(batch.vm[:, 0]), batch.failures
-    lowest = np.argmin(np.where(np.isnan(batch.vm), np.inf, batch.vm), axis=1)
-    highest = np.argmax(np.where(np.isnan(batch.vm), -np.inf, batch.vm), axis=1)
+    is_known = ~(np.isnan(batch.vm) | batch.plan.network.is_dead)
+    found, failures = is_known.any(axis=1), batch.failures
+    lowest = np.argmin(np.where(is_known, batch.vm, np.inf), axis=1)
+    highest = np.argmax(np.where(is_known, batch.vm, -np.inf), axis=1)
     columns = ScanColumns(
         scan=names,
         time=as_times(times),
@@ -104,6 +107,7 @@ def make_scan_table(
         removed=np.array([len(removed.get(row, ())) for row in rows.tolist()], dtype=np.int64),
         removed_meters=[" ".join(removed.get(row, ())) for row in rows.tolist()],
         undecided_meters=[" ".join(undecided.get(row, ())) for row in rows.tolist()],
+        switched=[" ".join(switched.get(row, ())) for row in rows.tolist()],
         bad_data_left=bad_data_left,
         lowest_vm_pu=batch.vm[rows, lowest],
         lowest_vm_bus=np.where(found, bus[lowest], np.nan),

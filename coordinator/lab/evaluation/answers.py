@@ -85,6 +85,7 @@ def report_as_json(report: BadDataReport) -> dict[str, Any]:
             }
             for removed in report.removed
         ],
+        "switched": list(report.switched),
         "critical": list(report.critical),
     }
 

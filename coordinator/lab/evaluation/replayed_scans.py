@@ -72,8 +72,9 @@ class ReplayedScans:
         missing: list[str],
     ) -> dict[str, object]:
         """The columns of ``ScanColumns`` but the time, of one scan. J and its limit are the centralised ones."""
-        network = self._scenario.network
+        network = comparison.partition.network
         vm, bus, phase = comparison.decentralised.vm, network.node_buses, network.node_phases
+        vm = np.where(network.is_dead, np.nan, vm)
         lowest, highest = ((int(of(vm)) if not np.isnan(vm).all() else None) for of in (np.nanargmin, np.nanargmax))
         return {
             "scan": scan,
@@ -86,6 +87,7 @@ class ReplayedScans:
             "removed": len(removed),
             "removed_meters": " ".join(removed),
             "undecided_meters": " ".join(m for _, *others in report.undecided for m in others) if report else "",
+            "switched": " ".join(report.switched) if report else "",
             "bad_data_left": bool(report and report.detected),
             "lowest_vm_pu": np.nan if lowest is None else vm[lowest],
             "lowest_vm_bus": np.nan if lowest is None else float(bus[lowest]),

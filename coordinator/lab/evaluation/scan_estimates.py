@@ -18,10 +18,10 @@ from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, find_de
 from dsse_core.files.bounded_file import read_text
 from dsse_core.grid.columns import Records, take_items
 from dsse_core.grid.measurement import Measurement, Meter
-from dsse_core.grid.meter_table import find_virtual, join_meters
+from dsse_core.grid.meter_table import find_places, find_virtual, join_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import MOST_SHOWN, Partition
-from dsse_core.grid.switches import find_meters_in_service
+from dsse_core.grid.switches import find_dead_meters, find_meters_in_service
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.printable import listed
 from dsse_core.results.results import MeterReadings, Results, results_of_estimate, results_without_estimate
@@ -42,16 +42,18 @@ def estimate_whole_grid(scenario: Scenario) -> tuple[BadDataReport, PowerFlowRes
         PowerFlowDivergedError, EstimationDivergedError: the power flow or the estimate does not converge.
     """
     plan = plan_whole_grid(scenario)
-    scan = read_meters(scenario)
-    values, sigmas = np.delete(scan.values, scan.missing), np.delete(scan.sigmas, scan.missing)
-    plan = plan.without(scan.missing) if scan.missing else plan
+    scan, lives = read_meters(scenario), np.flatnonzero(~find_dead_meters(scenario.network, scenario.meters))
+    is_missing = np.isin(lives, scan.missing)
+    values, sigmas = scan.values[lives[~is_missing]], scan.sigmas[lives[~is_missing]]
+    plan = plan.without(np.flatnonzero(is_missing).tolist()) if is_missing.any() else plan
     return process_bad_data_with_plan(plan, values, sigmas, tolerance=scenario.tolerances.estimator), scan.truth
 
 
 @dataclass(frozen=True)
 class ScanEstimates:
     """``batch``: the estimate of each scan, its bad data removed. ``removed``: row -> ids of the removed meters;
-    ``undecided``: row -> ids of meters that the readings cannot distinguish from these.
+    ``undecided``: row -> ids of meters that the readings cannot distinguish from these; ``switched``: row -> ids of
+    switches that count the other way.
 
     ``bad_data_left`` (n_scan,): True where J exceeds the chi-square limit after the removal. ``rows``: the readings.
     """
@@ -62,6 +64,7 @@ class ScanEstimates:
     batch: BatchResult
     removed: Mapping[int, tuple[str, ...]]
     undecided: Mapping[int, tuple[str, ...]]
+    switched: Mapping[int, tuple[str, ...]]
     bad_data_left: np.ndarray
 
     @property
@@ -78,16 +81,18 @@ class ScanEstimates:
     def tables(self) -> ScanTables:
         """A row for each scan, and the tables of all scans, which are those of each scan alone."""
         readings = (~np.isnan(self.scans.values)).sum(axis=1)
-        of_meters = self.removed, self.undecided, self.bad_data_left
-        scans = make_scan_table(self.names, self.scans.times, self.batch, self.limits, readings, *of_meters)
+        bad_data = self.removed, self.undecided, self.switched, self.bad_data_left
+        scans = make_scan_table(self.names, self.scans.times, self.batch, self.limits, readings, *bad_data)
         return ScanTables(scans, lambda: map(self._results_of, range(len(self.names))))
 
     def _results_of(self, row: int) -> Results:
         label = ScanLabel(self.names[row], self.scans.times[row])
-        meters, network = self.rows.plan.meters, self.batch.plan.network
+        meters, network = self.rows.shown, self.batch.plan.network
         if row in self.batch.failures:
-            unknown = np.full(len(meters), np.nan)
-            readings = MeterReadings(meters, self.rows.values[row], self.rows.sigmas[row], unknown, {}, ())
+            values, sigmas, unknown = np.full((3, len(meters)), np.nan)
+            at = find_places(network, meters, self.rows.plan.meters)
+            values[at], sigmas[at] = self.rows.values[row], self.rows.sigmas[row]
+            readings = MeterReadings(meters, values, sigmas, unknown, {}, ())
             return results_without_estimate(network, self.partition, readings, label, NONE)
         quality = DEGRADED if self.bad_data_left[row] else GOOD
         report = self.rows.estimate(row)
@@ -101,10 +106,11 @@ class ScanEstimates:
 @dataclass(frozen=True)
 class ScanRows:
     """Readings of each scan, those of virtual meters included: ``values``, ``sigmas`` (n_scan, n_meas), of the meters
-    of ``plan``.
+    of ``plan``. ``shown``: these, and those without supply.
     """
 
     plan: EstimationPlan
+    shown: Sequence[Meter]
     values: np.ndarray
     sigmas: np.ndarray
     tolerance: float
@@ -185,13 +191,15 @@ def estimate_scans(scenario: Scenario, scans: Scans) -> ScanEstimates:
     Raises:
         NotObservableError: not even all meters together determine the state.
     """
-    plan = build_estimation_plan(scenario.network, _meters_of(scenario, scans))
-    of_virtual = np.zeros((len(scans.names), len(plan.meters) - len(scans.meters)))
-    values = np.concatenate([scans.values, of_virtual], axis=1)
-    sigmas = np.concatenate([np.where(np.isnan(scans.sigmas), 1.0, scans.sigmas), of_virtual], axis=1)
-    rows = ScanRows(plan, values, sigmas, scenario.tolerances.estimator)
+    shown = _meters_of(scenario, scans)
+    lives = np.flatnonzero(~find_dead_meters(scenario.network, shown))
+    plan = build_estimation_plan(scenario.network, take_items(shown, lives))
+    of_virtual = np.zeros((len(scans.names), len(shown) - len(scans.meters)))
+    values = np.concatenate([scans.values, of_virtual], axis=1)[:, lives]
+    sigmas = np.concatenate([np.where(np.isnan(scans.sigmas), 1.0, scans.sigmas), of_virtual], axis=1)[:, lives]
+    rows = ScanRows(plan, shown, values, sigmas, scenario.tolerances.estimator)
     batch = estimate_batch(plan, values, sigmas, tolerance=rows.tolerance)
-    found = ScanEstimates(scenario.partition, scans, rows, batch, {}, {}, np.zeros(len(scans.names), dtype=bool))
+    found = ScanEstimates(scenario.partition, scans, rows, batch, {}, {}, {}, np.zeros(len(scans.names), dtype=bool))
     suspect = batch.objective >= found.limits
     suspect |= [bool(find_dead(plan.meters, row)) for row in values]
     cleaning = _Cleaning(found)
@@ -199,7 +207,8 @@ def estimate_scans(scenario: Scenario, scans: Scans) -> ScanEstimates:
         cleaning.clean(row)
     failures = {row: cleaning.failures[row] for row in sorted(cleaning.failures)}
     cleaned = replace(batch, failures=failures)
-    return replace(found, batch=cleaned, removed=cleaning.removed, undecided=cleaning.undecided)
+    named = replace(found, removed=cleaning.removed, undecided=cleaning.undecided, switched=cleaning.switched)
+    return replace(named, batch=cleaned)
 
 
 class _Cleaning:
@@ -210,6 +219,7 @@ class _Cleaning:
         self.failures: dict[int, RowFailure] = dict(found.batch.failures)
         self.removed: dict[int, tuple[str, ...]] = {}
         self.undecided: dict[int, tuple[str, ...]] = {}
+        self.switched: dict[int, tuple[str, ...]] = {}
 
     def clean(self, row: int) -> None:
         batch = self._found.batch
@@ -227,3 +237,4 @@ class _Cleaning:
         self._found.bad_data_left[row] = report.detected
         self.removed[row] = tuple(removed.measurement.meter.id for removed in report.removed)
         self.undecided[row] = tuple(meter for _, *others in report.undecided for meter in others)
+        self.switched[row] = tuple(report.switched)

@@ -298,7 +298,7 @@ def test_the_table_of_many_scans_names_the_phases_of_its_extreme_voltages(feeder
     values = np.array([[m.value for m in readings], [np.nan] * len(readings)])
     sigmas = np.tile([m.sigma for m in readings], (2, 1))
     batch, none = estimate_batch(plan, values, sigmas), np.zeros(2)
-    scans = make_scan_table(("one", "two"), none, batch, none, none, {}, {}, none > 0)
+    scans = make_scan_table(("one", "two"), none, batch, none, none, {}, {}, {}, none > 0)
     lowest = int(np.argmin(batch.vm[0]))
     assert name_lowest(scans, 0) == feeder.node_names[lowest]
     assert (name_lowest(scans, 1), scans.highest_vm_phase[1]) == ("", "")

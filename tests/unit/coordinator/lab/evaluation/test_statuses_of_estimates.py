@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from coordinator.cli.main import run_command
-from coordinator.lab.evaluation.scan_estimates import estimate_whole_grid, operate, operate_scans, with_one_scan
+from coordinator.lab.evaluation.scan_estimates import (
+    estimate_scans,
+    estimate_whole_grid,
+    operate,
+    operate_scans,
+    with_one_scan,
+)
 from dsse_core.errors import InvalidInputError
+from dsse_core.results.results import results_of_estimate
 from scenarios.files.readings.file import Scans
 from scenarios.telemetry import make_telemetry
 from tests.support.rings import TIES, tied33
@@ -25,6 +32,27 @@ def test_readings_of_a_grid_with_a_closed_tie_name_it_unless_it_is_stated():
         assert report.result.network.switches["18-33"]
         assert not report.detected
         assert report.removed == ()
+
+
+def test_a_section_that_an_opened_switch_leaves_without_supply_is_0_in_the_tables_of_one_scan_and_of_many():
+    scenario = operate(tied33(3, (), switches=("7-8",)), ("7-8",), ())
+    report, truth = estimate_whole_grid(scenario)
+    tables = results_of_estimate(report, partition=scenario.partition, meters=scenario.meters, truth=truth)
+    is_dead = np.isin(tables.buses.bus, range(8, 19))
+    for name in ("vm_pu", "sigma_vm_pu", "p_kw", "sigma_p_kw", "true_vm_pu"):
+        assert ((tables.buses[name] == 0.0) == is_dead).all()
+    assert not np.isnan(tables.areas.sigma_load_kw).any()
+    dead = [m for m, status in zip(tables.meters.meter, tables.meters.status, strict=True) if status == "silent: dead"]
+    assert sorted(dead) == sorted(meter.id for meter in scenario.meters if 8 <= meter.bus <= 18)
+    real = [m for m in make_telemetry(scenario).union if m.sigma]
+    values, sigmas = (np.array([[getattr(m, name) for m in real]] * 2) for name in ("value", "sigma"))
+    scans = Scans(("1", "2"), tuple(m.meter for m in real), values, sigmas)
+    of_many = estimate_scans(scenario, scans).tables
+    assert of_many.buses.vm_pu[:33] == pytest.approx(tables.buses.vm_pu, abs=1e-9)
+    assert sorted(
+        {m for m, s in zip(of_many.meters.meter, of_many.meters.status, strict=True) if "dead" in s}
+    ) == sorted(dead)
+    assert (of_many.scans.lowest_vm_pu > 0.9).all()
 
 
 def test_a_branch_that_is_no_switch_and_a_switch_of_two_statuses_are_refused_together():
