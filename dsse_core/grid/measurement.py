@@ -243,16 +243,17 @@ def check_readings(network: Network, meters: Sequence[Meter], values: np.ndarray
 
 def find_meter_problems(network: Network, meters: Iterable[Meter]) -> Iterable[str]:
     """Every meter that does not fit the network, as text."""
-    row, branch_by_id = network.row, network.branch_by_id
+    row, branch_by_id, has_phases = network.row, network.branch_by_id, not network.table.nodes.is_balanced
     seen: dict[tuple[MeasurementKind, int, str | None, str], str] = {}
     for meter in meters:
+        is_virtual = meter.kind.is_virtual
         if (quantity := meter.quantity) in seen:
             twice = "given twice" if seen[quantity] == meter.phases else f"given as .{seen[quantity]} as well"
             yield f"meter {meter.id} is {twice}; keep one reading of each quantity"
         seen[quantity] = meter.phases
         if meter.source is Source.VIRTUAL and not meter.kind.of_injection:
             yield f"meter {meter.id}: {VIRTUAL_IS}"
-        if meter.source is not Source.VIRTUAL and meter.kind.is_virtual:
+        if is_virtual and meter.source is not Source.VIRTUAL:
             yield f"meter {meter.id}: no meter reads {meter.kind}; it is 0 by the legs of a bus, and virtual"
         if meter.bus not in row:
             yield f"meter {meter.id}: bus {meter.bus} is not in network {network.name!r}"
@@ -266,7 +267,7 @@ def find_meter_problems(network: Network, meters: Iterable[Meter]) -> Iterable[s
                 yield f"meter {meter.id}: branch {meter.branch} does not end at bus {meter.bus}"
         elif meter.branch is not None:
             yield f"meter {meter.id}: a {meter.kind} meter stands at a bus, not on a branch"
-        if meter.bus in row:
+        if (has_phases or meter.phases or is_virtual) and meter.bus in row:
             yield from _find_problems_of_phases(network, meter)
 
 

@@ -7,6 +7,7 @@ the mean of the rows of its phases. K counts powers s that leave a node into bra
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -265,8 +266,10 @@ def _without_currents(y: sp.csr_array, of_voltage: np.ndarray, node: np.ndarray)
     """``y`` (k, n) whose rows ``of_voltage`` (k,) have one stored entry, 0 at the row's ``node`` (k,)."""
     row = np.repeat(np.arange(len(node)), np.diff(y.indptr))
     kept = np.flatnonzero(~of_voltage[row] | (y.indices == node[row]))
-    data = np.where(of_voltage[row[kept]], 0.0, y.data[kept])
-    return sp.csr_array((data, y.indices[kept], np.searchsorted(kept, y.indptr)), shape=y.shape)
+    found = copy.copy(y)  # a new one would have its indices checked
+    found.data, found.indices = np.where(of_voltage[row[kept]], 0.0, y.data[kept]), y.indices[kept]
+    found.indptr = np.searchsorted(kept, y.indptr).astype(y.indptr.dtype)
+    return found
 
 
 def _with_entries(y: sp.csr_array, column: np.ndarray) -> sp.csr_array:
