@@ -59,7 +59,7 @@ def find_indispensable_rows(network: Network, meters: Sequence[Meter], *, refere
         raise InvalidInputError(f"meters of network {network.name!r}", problems)
     reference = find_reference(network, reference)
     model, n, width = _no_load_model(network, meters), network.n_nodes, 2 + 2 * _most_phases(network)
-    free = network.find_unknown(reference)
+    size, free = 2 * n + len(network.taps), network.find_unknown(reference)
     order = order_tableau(network, reference, model, free)
     fit = NoLoadFit(_scaled_jacobian(network, model, reference)[:, free], None if order.fills_in else order.rows, width)
     unseen = fit.find_null_vectors()
@@ -67,9 +67,9 @@ def find_indispensable_rows(network: Network, meters: Sequence[Meter], *, refere
         found: np.ndarray = QUANTITY[number_kinds(meters)] != Quantity.CURRENT
         found[found] = fit.find_unchecked()
         return found
-    null = np.zeros((2 * n, unseen.shape[1]))
+    null = np.zeros((size, unseen.shape[1]))
     null[free] = unseen
-    rows = np.flatnonzero(find_touched(null).reshape(2, n).any(axis=0))
+    rows = np.flatnonzero(find_touched_nodes(network, find_touched(null)))
     places, present = [network.nodes[row] for row in rows.tolist()], {meter.id for meter in meters}
     cures, together = _find_cures(network, places, present, null, reference) if null.shape[1] < width else ([], [])
     nodes = [name_node(*place) if place[1] else place[0] for place in places]
@@ -161,16 +161,26 @@ def find_touched(null: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(null, axis=1) > TOUCHED)
 
 
+def find_touched_nodes(network: Network, touched: np.ndarray) -> np.ndarray:
+    """True for nodes with a voltage that is ``touched`` (2 n_nodes + n_tap,) or with such a tap beside, (n_nodes,)."""
+    n = network.n_nodes
+    found = np.asarray(touched[: 2 * n].reshape(2, n).any(axis=0))
+    taps = np.array([*network.estimated_taps.values()], dtype=int)[touched[2 * n :]]
+    found[network.table.f[taps]] = found[network.table.t[taps]] = True
+    return found
+
+
 def _no_load_model(network: Network, meters: Sequence[Meter]) -> MeasurementModel:
     """The measurement model of ``meters`` without current magnitudes, in the network without charging and shunts."""
     meters = take_items(meters, np.flatnonzero(QUANTITY[number_kinds(meters)] != Quantity.CURRENT))
-    return build_measurement_model(network, build_admittance(network, with_shunts=False), meters)
+    admittance = build_admittance(network, with_shunts=False)
+    return build_measurement_model(network, admittance, meters, first_tap=2 * network.n_nodes)
 
 
 def _scaled_jacobian(network: Network, model: MeasurementModel, reference: int) -> sp.csr_array:
     """Rows of H at the flat start, each scaled to length 1."""
     vm, va = flat_start(network, reference)
-    H = model.jacobian(np.r_[va, vm])
+    H = model.jacobian(np.r_[va, vm, network.taps])
     return scale_rows(H, reciprocal_row_lengths(H))
 
 

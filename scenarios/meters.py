@@ -109,6 +109,20 @@ def build_meters(table: MeasurementsTable, network: Network) -> Records[Meter]:
     return _Places(table, network).build()
 
 
+def find_tap_problems(network: Network, meters: Sequence[Meter]) -> Iterator[str]:
+    """Ends of branches with estimated taps that have no voltmeter: where one lies further away, the drop of voltage in
+    between counts as tap.
+    """
+    metered = {meter.bus for meter in meters if meter.kind is MeasurementKind.VM}
+    for name in network.estimated_taps:
+        branch = network.branch(name)
+        if without := [str(bus) for bus in (branch.from_bus, branch.to_bus) if bus not in metered]:
+            yield (
+                f"network: branch {name} has estimate_tap, which needs a voltmeter at both ends; add a meter of "
+                f"voltage at bus {', '.join(without)}, or leave estimate_tap out"
+            )
+
+
 def find_place_problems(table: MeasurementsTable, network: Network) -> Iterable[str]:
     """Every bus and branch of ``table`` that is unknown, out of service or listed twice, with its key; and every phase
     that is not there.

@@ -55,6 +55,7 @@ from scenarios.meters import (
     build_sigma_rule,
     find_floor_problems,
     find_place_problems,
+    find_tap_problems,
 )
 from scenarios.reading_rules import build_reading_rules, find_gateway_problems
 
@@ -195,6 +196,7 @@ def load_scenario(
     meters = _build_meters_of(file, network, area_buses or {}, readings)
     if not reading_problems:
         problems += _find_gross_error_problems(file, network, meters)
+        problems += find_tap_problems(network, meters)
     if partition is not None:
         problems += find_link_problems(file.faults, partition)
         problems += find_gateway_problems(file, partition, meters)

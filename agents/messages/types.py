@@ -339,7 +339,8 @@ class StateMessage:
     of the area file; ``next_split``: of the file that lies ready beside it. ``into_children``: P and Q from each of the
     area's boundary buses into the branches of each child there, as ``Area.powers_into_children`` has them; empty where
     they are not known. ``phases``: of each entry of ``buses``, which then are nodes; empty in a balanced network.
-    ``switches``: switch that the area holds -> "open" or "closed", on which the estimate rests.
+    ``switches``: switch that the area holds -> "open" or "closed", on which the estimate rests. ``taps``: branch
+    whose tap the area estimates -> its ratio, and the standard deviation of that.
     """
 
     kind: ClassVar[str] = "state"
@@ -378,6 +379,7 @@ class StateMessage:
     into_children: Numbers = ()
     phases: Names = ()
     switches: dict[Name, Name] = field(default_factory=dict)
+    taps: dict[Name, tuple[Number, Number]] = field(default_factory=dict)
 
     @property
     def nodes(self) -> tuple[tuple[int, str], ...]:

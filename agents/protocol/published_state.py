@@ -126,7 +126,7 @@ def describe_estimate(estimate: Estimate | None, network: Network) -> dict[str, 
     """Returns the fields of a state that ``estimate`` of ``network`` fills; all are empty without an estimate."""
     if estimate is None:
         empty: dict[str, Any] = dict.fromkeys(EMPTY, ())
-        return empty | {"referenced": False, "objective": 0.0, "degrees_of_freedom": 0, "checked": False}
+        return empty | {"referenced": False, "objective": 0.0, "degrees_of_freedom": 0, "checked": False, "taps": {}}
     vm, va, dead = estimate.vm.copy(), estimate.va.copy(), list(estimate.dead)
     vm[dead] = va[dead] = 0.0
     return {
@@ -143,4 +143,5 @@ def describe_estimate(estimate: Estimate | None, network: Network) -> dict[str, 
         "critical": estimate.critical,
         "checked": estimate.checked,
         "into_children": estimate.into_children,
+        "taps": dict(estimate.taps),
     }

@@ -51,7 +51,8 @@ class Estimate:
     ``settled``: no exchange under way is going to move the estimate. ``undecided``: groups of meters of which the first
     is taken out, while the readings do not tell which meter of the group is wrong. ``into_children``: the powers into
     the branches of the children, p.u., as ``Area.powers_into_children`` has them; empty where they are not known.
-    ``dead``: nodes without supply, by rows, whose voltage is published as 0.
+    ``dead``: nodes without supply, by rows, whose voltage is published as 0. ``taps``: branch -> its estimated tap
+    ratio, and the standard deviation of that.
     """
 
     vm: np.ndarray
@@ -68,6 +69,7 @@ class Estimate:
     undecided: tuple[tuple[str, ...], ...] = ()
     into_children: tuple[float, ...] = ()
     dead: tuple[int, ...] = ()
+    taps: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def is_reasonable(self, no_load_va: np.ndarray) -> bool:
         """True where a grid can be in this state, however unusual it is; ``no_load_va``: angles of the unloaded buses.
@@ -114,6 +116,9 @@ class AnyStrategy:
             if switches := area.network.switches:
                 problem = f"area {area.name} has the switch {', '.join(switches)}, which strategy {strategy!r}"
                 problems.append(f"{problem} cannot operate; use 'information', or leave `switch = true` out")
+            if taps := area.network.estimated_taps:
+                problem = f"area {area.name} has the tap of branch {', '.join(taps)}, which strategy {strategy!r}"
+                problems.append(f"{problem} cannot estimate; use 'information', or leave `estimate_tap = true` out")
         return problems + [
             f"areas {' and '.join(sorted(pair))} share bus {', '.join(map(str, boundary.buses))}: a ring, which "
             f"strategy {strategy!r} cannot take; use 'information', or cut so that areas form a tree"

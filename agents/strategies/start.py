@@ -31,7 +31,7 @@ def start_state(content: Configuration, received: Mapping[str, Loads]) -> np.nda
     vm, va = find_no_load(area)
     if area.network.table.nodes.is_balanced:  # with phases voltages depend little on loads, beside those of banks
         vm, va = _solve_with_loads(content, received, vm, va)
-    return np.concatenate([va, vm, [_find_power(area, power, received) for power in area.powers_into_children]])
+    return area.join_state(vm, va, [_find_power(area, power, received) for power in area.powers_into_children])
 
 
 def _solve_with_loads(

@@ -120,7 +120,7 @@ def _find_others(result: EstimationResult) -> dict[str, float]:
     if not result.network.with_tap_steps:  # where the back end is radial, the sparse one is not built
         return find_wrong_switches(result.gains)
     model = result.plan.sparse.model.with_values(result.values, result.sigmas)
-    return find_wrong_taps(model, np.concatenate([result.va, result.vm]), {}) | find_wrong_switches(result.gains)
+    return find_wrong_taps(model, result.x, {}) | find_wrong_switches(result.gains)
 
 
 def find_critical(result: EstimationResult) -> tuple[str, ...]:

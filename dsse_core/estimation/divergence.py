@@ -73,8 +73,8 @@ def _estimate_without(
 
 def _find_distance(rest: EstimationResult, plan: EstimationPlan, row: int, value: float, sigma: float) -> float:
     """|z - h(x)| / sqrt(sigma^2 + H P H') of a meter that is not in the estimate ``rest`` with covariance P."""
-    model = build_measurement_model(plan.network, build_admittance(plan.network), [plan.meters[row]])
-    x = np.concatenate([rest.va, rest.vm])
+    admittance, first_tap = build_admittance(plan.network), 2 * plan.network.n_nodes
+    model, x = build_measurement_model(plan.network, admittance, [plan.meters[row]], first_tap=first_tap), rest.x
     variance = float(rest.linear.covariance(x, {}, model.jacobian(x).toarray())[0, 0])
     error = float(model.subtract(np.array([value]), model.predict(x))[0])
     return abs(error) / float(np.hypot(sigma, np.sqrt(max(variance, 0.0))))
@@ -106,7 +106,9 @@ def _find_weakest(plan: EstimationPlan, sigmas: np.ndarray) -> str:
     vm, va = flat_start(plan.network, plan.reference)
     nothing: Solution = vm, va, np.zeros(len(sigmas)), 0.0, 0
     try:
-        found = EstimationResult(plan, np.zeros(len(sigmas)), sigmas, Memory(), *nothing).state_sigma()
+        found = EstimationResult(
+            plan, np.zeros(len(sigmas)), sigmas, Memory(), *nothing, plan.network.taps
+        ).state_sigma()
     except RuntimeError:  # SuperLU: singular by rounding
         return ""
     of_kinds = zip(("magnitude", "angle"), found, (MAX_DVM, MAX_DVA), ("p.u.", "rad"), strict=True)

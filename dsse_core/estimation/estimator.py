@@ -127,9 +127,9 @@ def iterate_with_plan(
         sigmas[plan.virtual] = 0.0
         if not _are_usable(values, sigmas, plan.virtual):
             check_readings(plan.network, plan.meters, values, sigmas)
-        memory, found = _estimate_as_area(plan, values, sigmas, *options)
-    else:
-        memory, found = estimate_radial(plan.radial, plan.virtual, values, sigmas, *options)
+        memory, found, taps = _estimate_as_area(plan, values, sigmas, *options)
+        return EstimationResult(plan, values, sigmas, memory, *found, taps)
+    memory, found = estimate_radial(plan.radial, plan.virtual, values, sigmas, *options)
     return EstimationResult(plan, values, sigmas, memory, *found)
 
 
@@ -153,8 +153,8 @@ def _estimate_as_area(
     start: tuple[np.ndarray, np.ndarray] | None,
     tolerance: float,
     memory: Memory,
-) -> tuple[Memory, Solution]:
-    """Memory and solution of a scan: Gauss-Newton until the verdict is ``FINAL`` or ``EVALUATE``.
+) -> tuple[Memory, Solution, np.ndarray]:
+    """Memory, solution and estimated taps of a scan: Gauss-Newton until the verdict is ``FINAL`` or ``EVALUATE``.
 
     ``sigmas`` (n_meas,) are 0 where a reading holds exactly.
 
@@ -170,7 +170,7 @@ def _estimate_as_area(
         if verdict.decision not in (Decision.EVALUATE, Decision.FINAL):
             continue
         if not grid.is_lost:
-            return memory, grid.solution()
+            return memory, grid.solution(), grid.taps
         if memory.from_flat_start:
             raise grid.diverged()
         memory = begin_at_flat_start(memory)
@@ -180,7 +180,7 @@ def _estimate_as_area(
 class WholeGrid:
     """The whole grid as one area without neighbours: states its totals, and carries out verdicts.
 
-    ``x``: the state x_k = [va; vm], (2 n_nodes,), p.u. and rad.
+    ``x``: the state x_k = [va; vm; estimated taps], p.u. and rad.
     """
 
     def __init__(
@@ -191,8 +191,9 @@ class WholeGrid:
         start: tuple[np.ndarray, np.ndarray] | None,
     ) -> None:
         self._of_meters, self._values, self._sigmas = linear, values, sigmas
+        self._n = linear.model.n_nodes
         self._weight = np.divide(1.0, sigmas, out=np.zeros(len(sigmas)), where=sigmas > 0)
-        self._begin(linear.flat if start is None else np.concatenate([start[1], start[0]]))
+        self._begin(linear.flat if start is None else linear.model.area.join_state(*start))
 
     def _begin(self, x: np.ndarray) -> None:
         self.x = self._before = x
@@ -225,7 +226,7 @@ class WholeGrid:
             held_back=held_back,
             areas=1,
             referenced=True,
-            square=limit_total(float(self._step @ self._step)),
+            square=limit_total(float(self._step[: 2 * self._n] @ self._step[: 2 * self._n])),
             turn=limit_total(self._turn),
         )
 
@@ -253,17 +254,23 @@ class WholeGrid:
         except RuntimeError:  # SuperLU: singular away from the no-load state, where the rank was full
             self._size = np.inf, np.inf
             return
-        size, n = abs(self._step), len(self.x) // 2
-        self._size = float(size[:n].max()), float(size[n:].max())
+        size, n = abs(self._step), self._n
+        self._size = float(size[:n].max()), float(size[n : 2 * n].max())
         if not math.isfinite(sum(self._size)):
             self._size = np.inf, np.inf
-        self._turn = float(step_before @ self._step)
+        self._turn = float(step_before[: 2 * n] @ self._step[: 2 * n])
         self.x = self.x + share * self._step
 
     def solution(self) -> Solution:
-        va, vm = np.split(np.where(np.tile(self._linear.model.area.network.is_dead, 2), 0.0, self.x), 2)
+        is_dead = np.tile(self._linear.model.area.network.is_dead, 2)
+        va, vm = np.split(np.where(is_dead, 0.0, self.x[: 2 * self._n]), 2)
         r = self._find_residual(self.x)
         return vm, va, r, self._find_objective(r), self._steps
+
+    @property
+    def taps(self) -> np.ndarray:
+        """The estimated taps, (n_tap,)."""
+        return self.x[2 * self._n :]
 
     def _find_residual(self, x: np.ndarray) -> np.ndarray:
         """z - h(x) of all meters, (n_meas,)."""

@@ -76,7 +76,7 @@ class EstimationPlan:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Measurements + constraints - state variables."""
+        """Measurements + constraints - state variables, estimated taps included."""
         return len(self.meters) - len(self.network.find_unknown(self.reference))
 
 

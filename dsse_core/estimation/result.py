@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -27,7 +27,8 @@ class EstimationResult:
     ``degrees_of_freedom`` = measurements + constraints - state variables. Properties are computed on demand, by the
     radial back end where that is chosen and computes them, else by sparse factorisation. ``iterations``: number of
     steps from the last start to the end. ``memory``: the state of the decisions, on which later verdicts rest;
-    ``evaluating`` where J has exceeded the chi-square limit.
+    ``evaluating`` where J has exceeded the chi-square limit. ``taps`` (n_tap,): the
+    estimated ones, in the order of ``network.estimated_taps``.
     """
 
     plan: EstimationPlan
@@ -39,6 +40,7 @@ class EstimationResult:
     residual: np.ndarray
     objective: float
     iterations: int
+    taps: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __repr__(self) -> str:
         return (
@@ -51,9 +53,11 @@ class EstimationResult:
         """Back end that found the state; where it is sparse, ``plan.radial`` says why it is not radial."""
         return self.plan.backend
 
-    @property
+    @cached_property
     def network(self) -> Network:
-        return self.plan.network
+        """The network, with its estimated taps."""
+        names = self.plan.network.estimated_taps
+        return self.plan.network.with_taps(dict(zip(names, self.taps.tolist(), strict=True)))
 
     @property
     def reference(self) -> int:
@@ -70,8 +74,9 @@ class EstimationResult:
         return tuple(Measurement(meter, value, sigma) for meter, value, sigma in readings)
 
     @cached_property
-    def _x(self) -> np.ndarray:
-        return np.concatenate([self.va, self.vm])
+    def x(self) -> np.ndarray:
+        """The state [va; vm; estimated taps], p.u. and rad."""
+        return np.concatenate([self.va, self.vm, self.taps])
 
     @cached_property
     def linear(self) -> GridSolver:
@@ -79,19 +84,29 @@ class EstimationResult:
         return self.plan.sparse.with_values(self.values, self.sigmas)
 
     def state_covariance(self, rows: Sequence[int]) -> np.ndarray:
-        """Covariance of the entries ``rows`` of x = [va; vm], shape (k, k); 0 for the reference angle."""
-        B = np.zeros((len(rows), len(self._x)))
+        """Covariance of the entries ``rows`` of x, shape (k, k); 0 for the reference angle."""
+        B = np.zeros((len(rows), len(self.x)))
         B[np.arange(len(rows)), rows] = 1.0
-        return self.linear.covariance(self._x, {}, B)
+        return self.linear.covariance(self.x, {}, B)
 
     def state_sigma(self) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations (sigma_vm, sigma_va) of all buses, p.u. and rad; nan where they would take too long."""
         if (of_radial := self._radial_variances) is not None:
             variance = of_radial[0]
         else:
-            variance = self.linear.variance_of_state(self._x)
-        sigma_va, sigma_vm = np.split(np.sqrt(np.maximum(variance, 0.0)), 2)
+            variance = self.linear.variance_of_state(self.x)
+        sigma_va, sigma_vm = np.split(np.sqrt(np.maximum(variance[: 2 * len(self.vm)], 0.0)), 2)
         return sigma_vm, sigma_va
+
+    @cached_property
+    def estimated_taps(self) -> dict[str, tuple[float, float]]:
+        """Branch -> its estimated tap ratio, and the standard deviation of that."""
+        if not len(self.taps):
+            return {}
+        first = 2 * len(self.vm)
+        variance = np.diag(self.state_covariance(range(first, first + len(self.taps))))
+        found = zip(self.taps.tolist(), np.sqrt(variance).tolist(), strict=True)
+        return dict(zip(self.plan.network.estimated_taps, found, strict=True))
 
     @cached_property
     def residual_variance(self) -> np.ndarray:
@@ -102,7 +117,7 @@ class EstimationResult:
         """
         if (of_radial := self._radial_variances) is not None:
             return of_radial[1]
-        return self.linear.variance_of_residuals(self._x)
+        return self.linear.variance_of_residuals(self.x)
 
     @cached_property
     def gains(self) -> dict[str, float]:
@@ -110,7 +125,7 @@ class EstimationResult:
         if not self.network.switches:  # where the back end is radial, the sparse one is not built
             return {}
         model = self.plan.sparse.model.with_values(self.values, self.sigmas)
-        return weigh_switches(model, self._x, {}, find_alternatives(model.area, {}))
+        return weigh_switches(model, self.x, {}, find_alternatives(model.area, {}))
 
     @cached_property
     def radial_inverse(self) -> RadialInverse:

@@ -63,6 +63,7 @@ class AreaEstimation:
         self.failure = ""
         self.removed: tuple[str, ...] = ()
         self.gains: Mapping[str, float] = {}  # of the other statuses of switches at x, see ``weigh_switches``
+        self.taps: Mapping[str, tuple[float, float]] = {}  # branch -> its estimated tap, sigma, from ``find_sigmas``
         self.critical: tuple[str, ...] = ()
         self.unobservable: tuple[int, ...] = ()  # nodes, by rows
         self.is_first = False  # no step of this start has been taken, and no-load information is wanted
@@ -159,7 +160,8 @@ class AreaEstimation:
         """``x`` with nodes without supply at no load: there they begin when they are fed again."""
         network, powers = self.area.network, self.area.powers_into_children
         of_powers = self.dead[np.array([network.node(p.bus, p.phase) for p in powers], dtype=np.intp)]
-        return np.where(np.concatenate([self._of_dead, of_powers]), self._flat, x)
+        of_taps = self._supplied.network.are_taps_dead
+        return np.where(np.concatenate([self._of_dead, of_powers, of_taps]), self._flat, x)
 
     @property
     def _of_dead(self) -> np.ndarray:
@@ -376,7 +378,7 @@ class AreaEstimation:
             objective, dva, dvm = map(limit_total, sizes)
             numbers = {
                 "objective": objective,
-                "degrees_of_freedom": count_freedom(model) + int((self._of_dead & self._is_own).sum()),
+                "degrees_of_freedom": count_freedom(model) + self._count_dead(),
                 "dva": dva,
                 "dvm": dvm,
                 "square": limit_total(self._multiply_own(self._step, self._step)),
@@ -395,6 +397,10 @@ class AreaEstimation:
             energised=self._find_energised()[:MOST_NAMED],
             dark=self._find_dark()[:MOST_NAMED],
         )
+
+    def _count_dead(self) -> int:
+        """The number of voltages of own nodes, and of estimated taps, without supply."""
+        return int((self._of_dead & self._is_own).sum() + self._supplied.network.are_taps_dead.sum())
 
     def _find_energised(self) -> tuple[str, ...]:
         """Ids of the voltmeters that read a voltage at a node without supply."""
@@ -530,7 +536,11 @@ class AreaEstimation:
         """
         of_state, variance = self._variances()
         self._omega = variance
-        sigma = np.sqrt(np.maximum(of_state, 0.0))
+        sigma, first = np.sqrt(np.maximum(of_state, 0.0)), self.area.first_tap
+        found = zip(self.x[first:].tolist(), sigma[first:].tolist(), strict=True)
+        is_dead = self._supplied.network.are_taps_dead.tolist()
+        taps = zip(self.area.network.estimated_taps, found, is_dead, strict=True)
+        self.taps = {branch: tap for branch, tap, without_supply in taps if not without_supply}
         sigma[: 2 * self._n][self._of_dead] = 0.0
         return sigma[self._n : 2 * self._n], sigma[: self._n], self._check_meters(variance).critical
 
@@ -573,7 +583,7 @@ class AreaEstimation:
         """
         silent = (self.area.boundaries[name] for name in self._silent)
         is_known = not any(power.area != self.area.name for there in silent for power in there.powers)
-        return tuple(self.x[2 * self._n :].tolist()) if is_known else ()
+        return tuple(self.x[2 * self._n : self.area.first_tap].tolist()) if is_known else ()
 
     @property
     def voltages(self) -> tuple[np.ndarray, np.ndarray]:
@@ -613,4 +623,4 @@ def _name_buses(buses: Iterable[int]) -> tuple[str, ...]:
 def _flat_start(area: Area) -> np.ndarray:
     """x of the flat start of the whole grid, without power into children."""
     vm, va = area.find_no_load()
-    return np.concatenate([va, vm, np.zeros(len(area.powers_into_children))])
+    return area.join_state(vm, va)

@@ -21,7 +21,7 @@ from dsse_core.linear import NoLoadSolver
 from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BoundaryInformation
 from dsse_core.matrices.augmented import reciprocal_root, reciprocal_row_lengths, scale_rows
-from dsse_core.observability import ROUND_OFF, NoLoadFit, find_touched
+from dsse_core.observability import ROUND_OFF, NoLoadFit, find_touched, find_touched_nodes
 
 # Entry of R for a power, in units of the own powers, or for a voltage, below which a message holds nothing.
 # NO_LOAD_NOT_YET alone gives 1e-9, rounding 1e-7. A voltage known through the smallest impedances in a row has more.
@@ -68,10 +68,9 @@ class NoLoadModel:
         Without any one of the indispensable meters the state is not observable.
         """
         fit = self._fit(self._at_own_voltage(received))
-        undetermined = np.zeros(self.model.size, dtype=bool)
-        undetermined[self.model.free] = find_touched(fit.find_null_vectors())
-        n = self.model.n_nodes
-        nodes = np.flatnonzero(undetermined[: 2 * n].reshape(2, n).any(axis=0))
+        model, undetermined = self.model, np.zeros(self.model.size, dtype=bool)
+        undetermined[model.free] = find_touched(fit.find_null_vectors())
+        nodes = np.flatnonzero(find_touched_nodes(model.area.network, undetermined[~model.are_powers]))
         unchecked = fit.find_unchecked()[: len(self.ids)]
         return (
             tuple(nodes.tolist()),
@@ -85,7 +84,7 @@ class NoLoadModel:
         depends.
         """
         model = self.model
-        of_power = np.arange(model.size) >= 2 * model.n_nodes
+        of_power = model.are_powers
         H = self.linear.stack(self.x, received)[0]
         H = sp.csr_array(H @ sp.diags_array(np.where(of_power, self.typical, 1.0)))
         to_one = reciprocal_row_lengths(H)
@@ -134,7 +133,7 @@ def build_no_load_model(area: Area, measurements: Sequence[Measurement], referen
     model = build_area_model(area, but_currents, reference, with_shunts=False)
     start = area.slack_bus if reference is None else reference
     vm, va = area.find_no_load() if area.no_load else flat_start(area.network, start)
-    x = np.concatenate([va, vm, np.zeros(model.size - 2 * len(vm))])
+    x = area.join_state(vm, va)
     of_power = ~OF_VOLTAGE[model.kinds]
     typical = np.median([1 / abs(complex(b.r, b.x)) for b in area.network.active_branches] or [1.0])
     model = replace(model, z=model.predict(x), sigma=np.where(of_power, typical, 1.0))

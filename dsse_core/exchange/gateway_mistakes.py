@@ -193,7 +193,7 @@ class GatewayTest:
 
     def _flat_start(self) -> np.ndarray:
         vm, va = self._area.find_no_load()
-        return np.concatenate([va, vm, np.zeros(len(self._area.powers_into_children))])
+        return self._area.join_state(vm, va)
 
 
 class _Rows:

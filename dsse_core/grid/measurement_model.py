@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.grid.admittance import Admittance
+from dsse_core.grid.further_currents import FurtherCurrents, add_up, find_currents_of_taps
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.meter_table import OF_VOLTAGE, QUANTITY, average, find_first, tabulate_meters
 from dsse_core.grid.network import Network
@@ -23,38 +24,9 @@ from dsse_core.grid.quantities import CURRENT_FLOOR, VOLTAGE_FLOOR, Phasors, Qua
 
 
 @dataclass(frozen=True)
-class CurrentsBeyond:
-    """Currents ``conj(s / v)`` that count in rows, (k,) each: the row, the node, and the place in x of P, before Q."""
-
-    row: np.ndarray
-    node: np.ndarray
-    power: np.ndarray
-
-    def find(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The currents at x, of voltages ``v`` (n_nodes,)."""
-        return np.asarray((self._find_powers(x) / v[self.node]).conj())
-
-    def find_derivatives(self, x: np.ndarray, v: np.ndarray, of_i: np.ndarray) -> np.ndarray:
-        """The derivatives of the rows by va, vm, P and Q, (4, k), where ``dh = Re(of_i di)``, ``of_i`` (n_row,).
-
-        ``Re(of_i di) = Re(a (ds - s / v dv))`` with ``a = conj(of_i) / v``.
-        """
-        at, n = v[self.node], len(v)
-        a, s = of_i[self.row].conj() / at, self._find_powers(x)
-        return np.array([(a * s).imag, -(a * s).real / x[n + self.node], a.real, -a.imag])
-
-    def list_columns(self, n: int) -> np.ndarray:
-        """The columns of these derivatives, (4, k), in a network of n nodes."""
-        return np.array([self.node, n + self.node, self.power, self.power + 1])
-
-    def _find_powers(self, x: np.ndarray) -> np.ndarray:
-        return np.asarray(x[self.power] + 1j * x[self.power + 1])
-
-
-@dataclass(frozen=True)
 class MeasurementModel:
-    """The measurement functions of ``meters``; ``x = [va; vm]``, shape (2 n_nodes,), rad and p.u.; then powers if some
-    currents are ``beyond`` the network.
+    """The measurement functions of ``meters``; ``x = [va; vm]``, shape (2 n_nodes,), rad and p.u.; then what the
+    ``further`` currents depend on.
 
     ``kinds``: (n_meas,), places in KINDS. ``y`` (n_row, n_nodes) holds admittances, ``node`` (n_row,) the node of each
     row. ``other`` (n_row,): the node to which its voltage counts, -1 for the ground; None where that is so for all.
@@ -68,7 +40,7 @@ class MeasurementModel:
     at_node: np.ndarray  # (nnz,): C at the entry's column, 1 at the metered node and -1 at the other one
     other: np.ndarray | None = None
     of_meter: np.ndarray | None = None
-    beyond: CurrentsBeyond | None = None
+    further: tuple[FurtherCurrents, ...] = ()
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """h(x), shape (n_meas,), p.u. and rad."""
@@ -104,12 +76,11 @@ class MeasurementModel:
         row, column = self.row, self.y.indices
         along = (of_u[row] * self.at_node + of_i[row] * self.y.data) * phase[column]
         parts = [-along.imag * vm[column], along.real]
-        if self.beyond is not None:
-            parts.append(self.beyond.find_derivatives(x, vm * phase, of_i).ravel())
+        parts += [currents.find_derivatives(x, vm * phase, of_i).ravel() for currents in self.further]
         return average(self.read(u, i), self.of_meter), self._join(np.concatenate(parts))
 
     def _join(self, derivatives: np.ndarray) -> np.ndarray:
-        """The entries of H from derivatives by va, then by vm, of all stored entries of y, then those ``beyond``."""
+        """The entries of H from derivatives by va, then by vm, of all entries of y, then of further currents."""
         places = self._pattern[0]
         if self._has_one_entry_each:
             return np.asarray(derivatives[places])
@@ -118,7 +89,7 @@ class MeasurementModel:
     @cached_property
     def _has_one_entry_each(self) -> bool:
         """True where no derivatives add up in an entry of H."""
-        return self.of_meter is None and self.beyond is None
+        return self.of_meter is None and not self.further
 
     @cached_property
     def meters(self) -> np.ndarray:
@@ -133,14 +104,17 @@ class MeasurementModel:
     @cached_property
     def _rows_of_entries(self) -> np.ndarray:
         """The row of each of the derivatives that ``_join`` takes."""
-        beyond = [] if self.beyond is None else [np.tile(self.beyond.row, 4)]
-        return np.concatenate([self.row, self.row, *beyond])
+        n = self.y.shape[1]
+        further = (np.tile(currents.row, len(currents.list_columns(n))) for currents in self.further)
+        return np.concatenate([self.row, self.row, *further])
 
     def linearize_compiled(self, x: np.ndarray, *, with_H: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """``linearize_entries``, or without ``with_H`` h(x) and no entries, by compiled code: needs numba.
 
-        Only of a whole network: currents ``beyond`` are left out.
+        Compiled code has no further currents.
         """
+        if self.further:
+            return self.linearize_entries(x)
         from dsse_core.grid import derivatives
 
         places = self._pattern[0] if self._has_one_entry_each else np.arange(2 * self.y.nnz)
@@ -164,8 +138,8 @@ class MeasurementModel:
         up, the place of each in H; the columns; the ends of rows.
         """
         n, row = self.y.shape[1], self._rows_of_entries
-        beyond = [] if self.beyond is None else [self.beyond.list_columns(n).ravel()]
-        columns = np.concatenate([self.y.indices, self.y.indices + n, *beyond])
+        further = (currents.list_columns(n).ravel() for currents in self.further)
+        columns = np.concatenate([self.y.indices, self.y.indices + n, *further])
         if self._has_one_entry_each:
             order = np.argsort(row, kind="stable")
             return order, columns[order], 2 * self.y.indptr
@@ -178,13 +152,7 @@ class MeasurementModel:
         va, vm = x[:n], x[n : 2 * n]
         phase = np.exp(1j * va)
         v = vm * phase
-        return self.find_voltages(v), self.add_beyond(self.y @ v, x, v), vm, phase
-
-    def add_beyond(self, i: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """``i`` (n_row,), the currents Y v, with those beyond the network added, at x of voltages ``v``."""
-        if self.beyond is not None:
-            np.add.at(i, self.beyond.row, self.beyond.find(x, v))
-        return i
+        return self.find_voltages(v), add_up(self.y @ v, self.further, x, v), vm, phase
 
     @cached_property
     def first_rows(self) -> np.ndarray:
@@ -213,7 +181,7 @@ class MeasurementModel:
 
 
 def stack_models(above: MeasurementModel, below: MeasurementModel) -> MeasurementModel:
-    """The rows of two models of one network, ``below`` of no currents beyond it."""
+    """The rows of two models of one network."""
     n_above, n_row = len(above.kinds), len(above.node)
     have_one_row = above.of_meter is None and below.of_meter is None
     return MeasurementModel(
@@ -224,15 +192,25 @@ def stack_models(above: MeasurementModel, below: MeasurementModel) -> Measuremen
         at_node=np.concatenate([above.at_node, below.at_node]),
         other=None if above.other is None or below.other is None else np.concatenate([above.other, below.other]),
         of_meter=None if have_one_row else np.concatenate([above.meters, n_above + below.meters]),
-        beyond=above.beyond,
+        further=above.further + tuple(currents.below(n_row) for currents in below.further),
     )
 
 
-def build_measurement_model(network: Network, admittance: Admittance, meters: Sequence[Meter]) -> MeasurementModel:
-    """The model of ``meters``: of each its node and its row of ``stacked``, that of the node or of the port."""
+def build_measurement_model(
+    network: Network, admittance: Admittance, meters: Sequence[Meter], *, first_tap: int | None = None
+) -> MeasurementModel:
+    """The model of ``meters``: of each its node and its row of ``stacked``, that of the node or of the port.
+
+    ``first_tap``: the place in x of the first estimated tap; None where all taps are as the network has them.
+    """
     table, of_meter = tabulate_meters(network, meters).spread()
     rows = np.where(table.branch < 0, table.node, network.n_nodes + table.port)
-    return build_model_of_rows(sp.csr_array(admittance.stacked[rows]), table.kind, table.node, table.other, of_meter)
+    y = sp.csr_array(admittance.stacked[rows])
+    model = build_model_of_rows(y, table.kind, table.node, table.other, of_meter)
+    if first_tap is None or not network.estimated_taps:
+        return model
+    rows = np.where(OF_VOLTAGE[table.kind], -1, rows)
+    return replace(model, further=find_currents_of_taps(network, admittance, rows, first_tap))
 
 
 def build_model_of_rows(

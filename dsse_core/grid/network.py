@@ -76,7 +76,7 @@ class Branch:
     at either end, or ``s_max``, the apparent power, p.u. Where buses have phases ``primitive`` is the branch, and
     ``r``, ``x`` are its size alone, by which impedances near zero are found. ``switch``: it may be opened and closed
     while areas run, and ``in_service`` is its status until then. ``tap_steps``: by how much one step of the tap changer
-    changes ``tap``; 0 where the tap is fixed.
+    changes ``tap``; 0 where the tap is fixed. ``estimate_tap``: ``tap`` is where the estimate of the tap begins.
     """
 
     id: str
@@ -95,6 +95,7 @@ class Branch:
     primitive: Primitive | None = None
     switch: bool = False
     tap_steps: float = 0.0
+    estimate_tap: bool = False
 
     def other_end(self, bus: int) -> int:
         return self.to_bus if bus == self.from_bus else self.from_bus
@@ -217,8 +218,10 @@ class Network:
         return self.table.nodes.at(self.row[bus])
 
     def find_unknown(self, reference: int) -> np.ndarray:
-        """The unknown entries of x = [va; vm]: all but angles of bus ``reference`` and voltages of dead nodes."""
-        is_known = np.tile(self.is_dead, 2)
+        """The unknown entries of x = [va; vm; estimated taps]: all but angles of bus ``reference``, voltages of dead
+        nodes and taps beside them.
+        """
+        is_known = np.concatenate([self.is_dead, self.is_dead, self.are_taps_dead])
         is_known[self.nodes_at(reference)] = True
         return np.flatnonzero(~is_known)
 
@@ -299,9 +302,33 @@ class Network:
 
     @cached_property
     def with_tap_steps(self) -> tuple[Branch, ...]:
-        """Branches in service whose tap changer has steps."""
+        """Branches in service whose tap changer has steps, but those whose taps are estimated."""
         given = any(read_given(self.branches, "tap_steps"))
-        return tuple(branch for branch in self.active_branches if branch.tap_steps) if given else ()
+        stepped = (branch for branch in self.active_branches if branch.tap_steps and not branch.estimate_tap)
+        return tuple(stepped) if given else ()
+
+    @cached_property
+    def estimated_taps(self) -> dict[str, int]:
+        """Branch in service whose tap is estimated -> its place among those in service."""
+        given = any(read_given(self.branches, "estimate_tap"))
+        return {b.id: k for k, b in enumerate(self.active_branches) if b.estimate_tap} if given else {}
+
+    @property
+    def are_taps_dead(self) -> np.ndarray:
+        """True for estimated taps with an end without supply, (n_tap,)."""
+        at = np.array([*self.estimated_taps.values()], dtype=int)
+        return np.asarray(self.is_dead[self.table.f[at]] | self.is_dead[self.table.t[at]])
+
+    @property
+    def taps(self) -> np.ndarray:
+        """Taps at which the estimates of estimated ones begin, (n_tap,)."""
+        return np.array([self.branch(branch).tap for branch in self.estimated_taps])
+
+    def with_taps(self, taps: Mapping[str, float]) -> Network:
+        """The same network with other ``taps``: branch -> its tap."""
+        if not taps:
+            return self
+        return replace(self, branches=tuple(replace(b, tap=taps.get(b.id, b.tap)) for b in self.branches))
 
     @cached_property
     def slack(self) -> Generator | None:
@@ -433,9 +460,20 @@ def _find_problems(network: Network) -> Iterable[str]:
         yield from _find_problems_of_buses_and_branches(network)
     yield from _find_problems_of_generators(network)
     yield from _find_problems_of_legs(network)
+    yield from _find_problems_of_taps(network)
     if gauge := network.gauge_of_whole:
         for bus in sorted({*gauge.ungrounded, *gauge.pinned} - set(network.table.bus_id.tolist())):
             yield f"the gauge names bus {bus}, which is not defined"
+
+
+def _find_problems_of_taps(network: Network) -> Iterable[str]:
+    if not any(read_given(network.branches, "estimate_tap")):
+        return
+    for branch in network.branches:
+        if branch.estimate_tap and branch.switch:
+            yield f"branch {branch.id}: a switch has no tap to estimate; leave `switch` or `estimate_tap` out"
+        if branch.estimate_tap and branch.primitive:
+            yield f"branch {branch.id}: only taps of balanced networks are estimated; leave `estimate_tap` out"
 
 
 def _is_possible(network: Network) -> bool:

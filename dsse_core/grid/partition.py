@@ -159,10 +159,26 @@ class Area:
 
     @cached_property
     def n_unknown(self) -> int:
-        """The number of unknown magnitudes and angles of the nodes that the area owns."""
+        """The number of unknown magnitudes and angles of the nodes that the area owns, and of its estimated taps."""
         network, slack = self.network, self.network.slack
         not_owned = sum(len(network.nodes_at(bus)) for bus in self.not_owned)
-        return 2 * (network.n_nodes - not_owned) - (len(network.nodes_at(slack.bus)) if slack else 0)
+        of_slack = len(network.nodes_at(slack.bus)) if slack else 0
+        return 2 * (network.n_nodes - not_owned) - of_slack + len(network.estimated_taps)
+
+    @cached_property
+    def first_tap(self) -> int:
+        """The place in the state of the first estimated tap, see ``join_state``."""
+        return 2 * self.network.n_nodes + len(self.powers_into_children)
+
+    @cached_property
+    def size(self) -> int:
+        """The number of variables of the state, see ``join_state``."""
+        return self.first_tap + len(self.network.estimated_taps)
+
+    def join_state(self, vm: np.ndarray, va: np.ndarray, powers: Sequence[float] | None = None) -> np.ndarray:
+        """x = [va; vm; powers into children, 0 by default; estimated taps, as the network has them]."""
+        of_powers = np.zeros(len(self.powers_into_children)) if powers is None else powers
+        return np.concatenate([va, vm, of_powers, self.network.taps])
 
     @cached_property
     def powers_into_children(self) -> tuple[Variable, ...]:

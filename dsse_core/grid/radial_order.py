@@ -91,7 +91,7 @@ def order_tableau(
     blocks of a bus, has the pattern of the network: a tree is eliminated from the leaves to the root.
 
     Args:
-        free: positions in x = [va; vm; powers] of the columns.
+        free: positions in x = [va; vm; powers; taps] of the columns.
         powers: the nodes of these powers.
         others: further rows in the columns ``free``; each comes just before the last of its columns.
         read: meters whose readings are further columns, beside the voltages of their bus.
@@ -104,7 +104,9 @@ def order_tableau(
         place[tree.order[::-1]] = np.arange(n)
     place = place[network.table.nodes.item]
     of_voltages = 3 * place + 2
-    of_columns = np.concatenate([of_voltages, of_voltages, of_voltages[np.array(powers, dtype=int)]])[free]
+    at_taps = network.table.f[[*network.estimated_taps.values()]]
+    further = of_voltages[np.concatenate([np.array(powers, dtype=int), at_taps])]
+    of_columns = np.concatenate([of_voltages, of_voltages, further])[free]
     of_rows = [_place_meters(place, model)]
     owners = [_find_owners(place, model, of_rows[0])]
     if others is not None:

@@ -25,7 +25,7 @@ Backend = Literal["auto", "radial", "sparse", "dense", "pieces"]
 
 @dataclass(frozen=True)
 class AreaMeasurements:
-    """The measurements of one area as functions of ``x = [va; vm; p_1, q_1, p_2, q_2, ...]``: powers into children.
+    """The measurements of one area as functions of x, ``Area.join_state``.
 
     ``free``: the variables that are unknown, all but the angles of a reference bus. ``backend``: see
     ``linear.choose_backend``. ``method``: the weights that follow from residuals and sigmas. ``further``: rows beside
@@ -35,7 +35,7 @@ class AreaMeasurements:
 
     area: Area
     model: MeasurementModel
-    into_children: sp.csr_array  # (n_meas, n_power): the share of a power into a child in an injection to ground
+    into_children: sp.csr_array  # (n_meas, size - 2 n_nodes): the share of powers into children in injections to ground
     into_area: MeasurementModel | None  # P and Q from buses of others into the area's own branches, by boundary
     z: np.ndarray
     sigma: np.ndarray
@@ -75,7 +75,14 @@ class AreaMeasurements:
 
     @property
     def size(self) -> int:
-        return 2 * self.n_nodes + int(self.into_children.shape[1])
+        return self.area.size
+
+    @cached_property
+    def are_powers(self) -> np.ndarray:
+        """True for the powers into children, shape (size,)."""
+        found = np.zeros(self.size, dtype=bool)
+        found[2 * self.n_nodes : self.area.first_tap] = True
+        return found
 
     @property
     def couples_many(self) -> bool:
@@ -84,8 +91,8 @@ class AreaMeasurements:
 
     @property
     def moves_with_powers(self) -> bool:
-        """True where powers into children change no weight and no derivative."""
-        return self.method is least_squares and self.model.beyond is None
+        """True where further variables change no weight and no derivative."""
+        return self.method is least_squares and not self.model.further
 
     @cached_property
     def n_nodes(self) -> int:

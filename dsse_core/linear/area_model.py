@@ -12,8 +12,9 @@ import scipy.sparse as sp
 from dsse_core.grid.admittance import Admittance, build_admittance, flat_start
 from dsse_core.grid.boundary import Kind
 from dsse_core.grid.columns import take_items
+from dsse_core.grid.further_currents import CurrentsBeyond
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.grid.measurement_model import CurrentsBeyond, MeasurementModel, build_measurement_model
+from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
 from dsse_core.grid.meter_table import IS_OF_PHASOR, OF_INJECTION
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area, Neighbour
@@ -97,16 +98,15 @@ def build_area_model(
     network = area.network
     admittance = build_admittance(network, with_shunts=with_shunts)
     meters = [m.meter for m in measurements]
-    size = 2 * network.n_nodes + len(area.powers_into_children)
     fixed = NO_ROWS if reference is None else network.nodes_at(reference)
     return AreaModel(
         area=area,
-        model=_count_currents(area, build_measurement_model(network, admittance, meters)),
+        model=_build_of_meters(area, admittance, meters),
         into_children=_count_powers(area, meters),
         into_area=_build_into_area(area, admittance),
         z=_values_of(measurements),
         sigma=_sigmas_of(measurements),
-        free=np.delete(np.arange(size), fixed),
+        free=np.delete(np.arange(area.size), fixed),
         meters=tuple(meters),
         reference=reference,
         backend=backend,
@@ -121,7 +121,7 @@ def with_network(model: AreaMeasurements, network: Network) -> AreaMeasurements:
     return replace(
         model,
         area=area,
-        model=_count_currents(area, build_measurement_model(network, admittance, meters)),
+        model=_build_of_meters(area, admittance, meters),
         into_children=model.into_children[rows],
         into_area=_build_into_area(area, admittance),
         z=model.z[rows],
@@ -132,20 +132,26 @@ def with_network(model: AreaMeasurements, network: Network) -> AreaMeasurements:
 
 def with_tap(model: AreaMeasurements, branch: str, tap: float) -> AreaMeasurements:
     """``model`` with another ``tap`` of a branch of its area."""
-    network = model.area.network
-    branches = tuple(replace(b, tap=tap) if b.id == branch else b for b in network.branches)
-    return with_network(model, replace(network, branches=branches))
+    return with_network(model, model.area.network.with_taps({branch: tap}))
+
+
+def _build_of_meters(area: Area, admittance: Admittance, meters: Sequence[Meter]) -> MeasurementModel:
+    """The model of ``meters``, with the currents of taps and those into children."""
+    model = build_measurement_model(area.network, admittance, meters, first_tap=area.first_tap)
+    return _count_currents(area, model)
 
 
 def _build_into_area(area: Area, admittance: Admittance) -> MeasurementModel | None:
     """P and Q from buses of others into the area's own branches; None where there are none."""
     shared = (v for boundary in area.boundaries.values() for v in boundary.variables)
     into_area = [Meter(INJECTION[v.kind], v.bus, phases=v.phase) for v in shared if v.area == area.name]
-    return build_measurement_model(area.network, admittance, into_area) if into_area else None
+    if not into_area:
+        return None
+    return build_measurement_model(area.network, admittance, into_area, first_tap=area.first_tap)
 
 
 def _count_powers(area: Area, meters: Sequence[Meter]) -> sp.csr_array:
-    """The share of each power into a child in the reading of each injection to ground, (n_meas, n_power)."""
+    """The share of each power into a child in the reading of each injection to ground, (n_meas, size - 2 n_nodes)."""
     powers: dict[tuple[MeasurementKind, int, str], list[tuple[int, float]]] = {}
     for k, power in enumerate(area.powers_into_children):
         kind = INJECTION[power.kind]
@@ -155,7 +161,8 @@ def _count_powers(area: Area, meters: Sequence[Meter]) -> sp.csr_array:
             powers.setdefault((kind, power.bus, ""), []).append((k, share))
     counted = [(row, *of) for row, m in enumerate(meters) for of in powers.get((m.kind, m.bus, m.phases), ())]
     rows, columns, shares = zip(*counted, strict=True) if counted else ((), (), ())
-    return sp.csr_array(sp.coo_array((shares, (rows, columns)), shape=(len(meters), len(area.powers_into_children))))
+    shape = len(meters), area.size - 2 * area.network.n_nodes
+    return sp.csr_array(sp.coo_array((shares, (rows, columns)), shape=shape))
 
 
 def _count_currents(area: Area, model: MeasurementModel) -> MeasurementModel:
@@ -171,7 +178,8 @@ def _count_currents(area: Area, model: MeasurementModel) -> MeasurementModel:
     row, power = np.nonzero(counts[:, None] & (model.node[:, None] == node))
     if not len(row):
         return model
-    return replace(model, beyond=CurrentsBeyond(row, node[power], 2 * area.network.n_nodes + place[power]))
+    beyond = CurrentsBeyond(row, node[power], 2 * area.network.n_nodes + place[power])
+    return replace(model, further=(*model.further, beyond))
 
 
 def build_whole_grid(network: Network, meters: Sequence[Meter], reference: int) -> GridSolver:
@@ -179,11 +187,12 @@ def build_whole_grid(network: Network, meters: Sequence[Meter], reference: int) 
     admittance = build_admittance(network)
     vm, va = flat_start(network, reference)
     given = network.slack.va if network.slack and network.slack.bus == reference else 0.0
-    flat, nothing = np.concatenate([va + given, vm]), np.zeros(len(meters))
+    area, nothing = Area("", network, (), reference, None, (reference, given)), np.zeros(len(meters))
+    flat = area.join_state(vm, va + given)
     model = AreaMeasurements(
-        area=Area("", network, (), reference, None, (reference, given)),
-        model=build_measurement_model(network, admittance, meters),
-        into_children=sp.csr_array((len(meters), 0)),
+        area=area,
+        model=_build_of_meters(area, admittance, meters),
+        into_children=sp.csr_array((len(meters), len(flat) - 2 * network.n_nodes)),
         into_area=None,
         z=nothing,
         sigma=nothing,

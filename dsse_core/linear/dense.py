@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from dsse_core.grid.further_currents import add_up
 from dsse_core.grid.measurement_model import stack_models
 from dsse_core.grid.meter_table import average
 from dsse_core.grid.partition import Neighbour
@@ -44,7 +45,7 @@ class DenseRows(Rows):
         self._H[: self._n_meas, 2 * self._n :] = self._into_children
         self._H[n_computed + np.arange(len(picked)), self._picked] = 1.0
         self._own = self._h[:n_computed]  # h of the model alone
-        self._n_read = size if model.beyond is not None else 2 * self._n  # of x, by the model
+        self._n_read = size if self._rows.further else 2 * self._n  # of x, by the model
         self._at = self._read_at = b""  # the x of h, and of H
 
     def predict(self, x: np.ndarray) -> np.ndarray:
@@ -92,7 +93,7 @@ class DenseRows(Rows):
         n, model, computed = self._n, self._rows, slice(len(self._rows.kinds))
         vm, phase = x[n : 2 * n], np.exp(1j * x[:n])
         v = vm * phase
-        u, i = model.find_voltages(v), model.add_beyond(self._y @ v, x, v)
+        u, i = model.find_voltages(v), add_up(self._y @ v, model.further, x, v)
         of_u, of_i = model.weigh(u, i)
         along = of_i[:, None] * self._y  # see MeasurementModel.linearize
         along[self._each, model.node] += of_u
@@ -102,7 +103,9 @@ class DenseRows(Rows):
         along = average(along, model.of_meter)
         self._own, self._H = average(model.read(u, i), model.of_meter), self._H.copy()
         self._H[computed, :n], self._H[computed, n : 2 * n] = along.imag * -vm, along.real
-        if (beyond := model.beyond) is not None:
+        if model.further:
+            self._H[computed, 2 * n :] = 0.0
             self._H[: self._n_meas, 2 * n :] = self._into_children
-            entries = beyond.find_derivatives(x, v, of_i) * model.shares[beyond.row]
-            np.add.at(self._H, (model.meters[beyond.row], beyond.list_columns(n)), entries)
+        for currents in model.further:
+            entries = currents.find_derivatives(x, v, of_i) * model.shares[currents.row]
+            np.add.at(self._H, (model.meters[currents.row], currents.list_columns(n)), entries)

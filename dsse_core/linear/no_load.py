@@ -28,9 +28,8 @@ class _AtNoLoad(RowSolver):
     sigma_of_power: float
 
     def least_information(self, columns: np.ndarray) -> np.ndarray:
-        """NO_LOAD_NOT_YET of voltages; of powers times their weight in a power meter."""
-        of_voltage = columns < 2 * self.model.n_nodes
-        return NO_LOAD_NOT_YET * np.where(of_voltage, 1.0, self.sigma_of_power**-2)
+        """NO_LOAD_NOT_YET; of powers times their weight in a power meter."""
+        return NO_LOAD_NOT_YET * np.where(self.model.are_powers[columns], self.sigma_of_power**-2, 1.0)
 
 
 class NoLoadSolver(_AtNoLoad, TableauSolver):

@@ -29,7 +29,7 @@ from dsse_core.linear.boundary_information import (
 from dsse_core.linear.contributions import VoltageReadings, least_squares
 from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, LinearArea, Received
 from dsse_core.linear.rows import TableauSolver
-from dsse_core.radial.plan import N_SLOT, N_VOLTAGE_SLOT, WITH_PHASES, plan_tree
+from dsse_core.radial.plan import N_SLOT, N_VOLTAGE_SLOT, find_what_lacks_slots, plan_tree
 
 if TYPE_CHECKING:
     from dsse_core.radial.tree import Tree
@@ -41,8 +41,8 @@ LEAST_SPREAD = 1e-5
 
 def find_why_not_radial(network: Network) -> str:
     """The reason why radial cannot serve ``network``; empty if it can."""
-    if not network.table.nodes.is_balanced:
-        return WITH_PHASES
+    if why := find_what_lacks_slots(network):
+        return why
     tree = find_obstacle() or find_tree(network, int(network.table.bus_id[0]))
     return tree if isinstance(tree, str) else ""
 

@@ -287,6 +287,7 @@ class _Order:
         self.n_within, self.n_boundary = len(within), len(at_boundaries) + 2
         self.read = np.array([*within, *at_boundaries], dtype=int)
         self.size = self.n_within + self.n_boundary
+        self._are_powers = model.are_powers
         self._is_turned = np.isin(np.arange(n_nodes), model.free)
         place = {k: at for at, k in enumerate(at_boundaries)}
         growth, turn, residual = range(self.n_boundary - 2, self.n_boundary + 1)
@@ -321,7 +322,7 @@ class _Order:
     def find_shifts(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The changes of x, (size,) each, where all voltages grow by a share, and where they turn by an angle, rad."""
         n = len(self._is_turned)
-        of_growth = np.concatenate([np.zeros(n), x[n : 2 * n], 2 * x[2 * n :]])
+        of_growth = np.concatenate([np.zeros(n), x[n : 2 * n], 2 * self._are_powers[2 * n :] * x[2 * n :]])
         return of_growth, np.concatenate([self._is_turned, np.zeros(len(x) - n)])
 
 

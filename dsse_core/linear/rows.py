@@ -36,8 +36,7 @@ class RowSolver(LinearArea):
         self.name = name
         self.declined = Counter()
         self.model, self.rows = model, rows
-        n_voltage = 2 * model.n_nodes
-        self._least = np.where(np.arange(model.size) < n_voltage, self.not_yet, NOT_YET_OF_POWER)
+        self._least = np.where(model.are_powers, NOT_YET_OF_POWER, self.not_yet)
 
     def with_readings(self, model: AreaMeasurements) -> Self:
         other = copy.copy(self)

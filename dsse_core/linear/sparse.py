@@ -44,7 +44,7 @@ class SparseRows(Rows):
     def __init__(self, area: AreaMeasurements) -> None:
         self._area = area
         self._n = area.n_nodes
-        self._n_read = 2 * area.n_nodes if area.model.beyond is None else area.size  # of x, by the model
+        self._n_read = area.size if area.model.further else 2 * area.n_nodes  # of x, by the model
         self._kept = Kept()
         self._at = self._read_at = b""  # of the numbers that are kept: steps, messages and variances ask in turn
         self._h: np.ndarray | None = None
@@ -138,8 +138,7 @@ class SparseRows(Rows):
             return x[columns], self._select(columns)
         into_area = self._area.into_area
         assert into_area is not None  # it has the own powers
-        flows = into_area.predict(x[: 2 * self._n])
-        C = sp.csr_array(into_area.jacobian(x[: 2 * self._n]))
+        flows, C = into_area.linearize(x)
         C = sp.csr_array((C.data, C.indices, C.indptr), shape=(len(flows), self._area.size))
         T = sp.csr_array(sp.vstack([C[rows], self._select(columns)], format="csr"))
         y = np.concatenate([flows[rows], x[columns]])
@@ -158,13 +157,18 @@ class SparseRows(Rows):
         if not len(own):
             return np.asarray(x[columns])
         y = np.empty(len(own) + len(columns))
+        y[np.setdiff1d(np.arange(len(y)), own)] = x[columns]
+        assert self._area.into_area is not None  # it has the own powers
+        if self._area.into_area.further:
+            y[own] = self._area.into_area.predict(x)[rows]
+            return y
         powers: list[float] = []
         for bus, there, admittance, mutual in self._branches_into_area[rows.start // 2 : rows.stop // 2]:
             va, vm = x[there], x[self._n + there]
             v = float(x[self._n + bus])
             s = (admittance * v * v).sum() + (mutual * (v * vm * np.exp(1j * (x[bus] - va)))).sum()
             powers += [s.real, s.imag]
-        y[own], y[np.setdiff1d(np.arange(len(y)), own)] = powers, x[columns]
+        y[own] = powers
         return y
 
     @cached_property

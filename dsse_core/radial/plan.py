@@ -105,14 +105,22 @@ def build_radial_plan(network: Network, meters: Sequence[Meter], *, reference: i
     return found if isinstance(found, str) else _check_determined(*found)
 
 
+def find_what_lacks_slots(network: Network) -> str:
+    """Reason why compiled passes cannot hold ``network``, as text; empty if they can."""
+    if not network.table.nodes.is_balanced:
+        return WITH_PHASES
+    taps = ", ".join(network.estimated_taps)
+    return f"compiled passes have no slot for the tap of branch {taps}" if taps else ""
+
+
 def plan_tree(network: Network, meters: Sequence[Meter], root: int) -> tuple[RadialPlan, int] | str:
     """The plan with bus ``root`` on top, whether or not the meters determine the state, and the bus where they do not.
 
     That is NOT_STUCK where they do. Returns text and raises as ``build_radial_plan``.
     """
     table = network.table
-    if not table.nodes.is_balanced:
-        return WITH_PHASES
+    if why := find_what_lacks_slots(network):
+        return why
     if (obstacle := compiling.find_obstacle(n_bus=len(table.bus_id))) is not None:
         return obstacle
     angle = float(network.slack.va) if network.slack and network.slack.bus == root else 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,6 +12,7 @@ from dsse_core.grid.columns import read_given
 from dsse_core.grid.network import Network
 from dsse_core.results.columns import BranchColumns, list_columns
 from dsse_core.results.flows import BranchModel, Flows
+from dsse_core.results.state import EstimatedTap, GridState
 from dsse_core.results.table import IN_ONE_PLACE, NO_SCAN, ScanLabel, Table, mark_rows, name_phases
 from dsse_core.results.units import base_a, base_kw
 
@@ -28,20 +30,19 @@ QUANTITIES = (
 
 
 def make_branch_table(
-    network: Network,
-    branches: BranchModel,
-    flows: Flows,
+    state: GridState,
     sigmas: np.ndarray | None = None,
     label: ScanLabel = NO_SCAN,
     marks: Mapping[str, Any] | None = None,
 ) -> Table:
-    """One row per conductor of ``branches``; branches out of service are included and carry nothing.
+    """One row per conductor of the branches of ``state``; branches out of service are included and carry nothing.
 
     Powers and currents are positive into the branch at either end; a loss is the sum of the powers at both ends,
     charging included. ``loading_percent``: the larger current of the two ends by ``i_max``, or the larger apparent
     power by ``s_max``; nan where neither is known. ``sigmas`` (8, n_row): standard deviations of ``QUANTITIES``,
     p.u.; nan without them. ``label``: of the scan. ``marks``: the columns of ``mark_rows``.
     """
+    network, branches, flows = state.network, state.branches, state.flows
     kw, table, count = base_kw(network), network.table, len(branches.branch)
     a_from, a_to = base_a(network)[table.end_rows[:, branches.branch]]
     powers = flows.s_from * kw, flows.s_to * kw, flows.loss * kw
@@ -73,12 +74,23 @@ def make_branch_table(
         **dict(zip(QUANTITIES, values, strict=True)),
         loading_percent=find_loading(branches, flows),
         neutral_a=None if table.nodes.is_balanced else abs(sum_over_phases(branches, flows.i_from)) * a_from,
+        **_list_taps(state),
         **{f"sigma_{q}": s * u for q, s, u in zip(QUANTITIES, deviations, units, strict=True)},
         scan=scan,
         time=time,
         **(marks or mark_rows([IN_ONE_PLACE], np.zeros(count, dtype=np.int64))),
     )
     return Table("branches", list_columns(columns))
+
+
+def _list_taps(state: GridState) -> dict[str, Any]:
+    """The columns of estimated taps; none without any."""
+    if not state.network.estimated_taps:
+        return {}
+    unknown = EstimatedTap(math.nan, math.nan, math.nan)
+    found = [state.taps.get(state.network.branch_ids[k], unknown) for k in state.branches.branch.tolist()]
+    ratio, sigma, steps = np.array(found).T
+    return {"tap_ratio": ratio, "sigma_tap_ratio": sigma, "tap_steps_off": np.round(steps) + 0.0}
 
 
 def sum_over_phases(branches: BranchModel, values: np.ndarray) -> np.ndarray:

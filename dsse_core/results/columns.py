@@ -111,6 +111,11 @@ class BranchColumns:
     """larger current of the two ends by `rating_a`, or apparent power by `rating_mva`; empty without a rating"""
     neutral_a: Numbers | None = None
     """current that returns at the from end: sum of all phases; only with phases"""
+    tap_ratio: Numbers | None = None
+    sigma_tap_ratio: Numbers | None = None
+    tap_steps_off: Numbers | None = None
+    """the estimated tap, its standard deviation, and the nearest number of steps from `tap_ratio` of the network file;
+    only with `estimate_tap`"""
     sigma_p_from_kw: Numbers
     sigma_q_from_kvar: Numbers
     sigma_i_from_a: Numbers

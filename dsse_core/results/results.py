@@ -126,7 +126,7 @@ def results_of_estimate(
         quality: of all areas.
     """
     result = found.result if isinstance(found, BadDataReport) else found
-    state = find_state(result.network, result.vm, result.va)
+    state = find_state(result.plan.network, result.vm, result.va, taps=result.estimated_taps)
     compared = {"centralised": (result.vm, result.va)} | ({"true": (truth.vm, truth.va)} if truth else {})
     division = find_division(result.network, partition)
     deviations = find_deviations(result, division, state.branches)
@@ -181,10 +181,9 @@ def assemble_results(
     bus, branch = state.network.table.nodes.item, state.branches.branch
     of_buses, of_branches = mark_rows(of_areas, division.of_bus[bus]), mark_rows(of_areas, division.of_branch[branch])
     voltages = deviations.vm, deviations.va, deviations.injections
-    flows = state.network, state.branches, state.flows, deviations.branches
     return Results(
         buses=make_bus_table(state, division.owners(bus), compared, *voltages, label, of_buses),
-        branches=make_branch_table(*flows, label, of_branches),
+        branches=make_branch_table(state, deviations.branches, label, of_branches),
         make_meters=partial(_make_meters, state, readings, label),
         make_areas=partial(_make_areas, state, division, deviations, of_run, marks, label),
     )

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from collections import ChainMap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -14,12 +17,24 @@ from dsse_core.grid.partition import Partition
 from dsse_core.grid.quantities import Phasors, QuantityRows
 from dsse_core.results.flows import BranchModel, Flows, build_branch_model, find_flows, find_injections
 
+Taps: TypeAlias = Mapping[str, tuple[float, float]]
+"""Branch -> its estimated tap ratio, and the standard deviation of that."""
+
+
+class EstimatedTap(NamedTuple):
+    """An estimated tap ratio, and by how many steps it is above that of the network file; nan where it has no steps."""
+
+    ratio: float
+    sigma: float
+    steps: float
+
 
 @dataclass(frozen=True, repr=False)
 class GridState:
     """A state. ``vm`` p.u., ``va`` rad, ``injection`` complex, p.u.: (n_nodes,), network order; nan where unknown.
 
-    ``injection`` is generation minus load; a bus' shunt is not a part of it.
+    ``injection`` is generation minus load; a bus' shunt is not a part of it. ``taps``: estimated ones, by branch, which
+    ``network`` has, too.
     """
 
     network: Network
@@ -28,17 +43,34 @@ class GridState:
     va: np.ndarray
     flows: Flows
     injection: np.ndarray
+    taps: Mapping[str, EstimatedTap] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<GridState of {self.network.name!r}: {len(self.vm)} nodes, {np.isnan(self.vm).sum()} unknown>"
 
 
-def find_state(network: Network, vm: np.ndarray, va: np.ndarray, branches: BranchModel | None = None) -> GridState:
-    """The state of voltages vm, va (n_nodes,), p.u. and rad; ``branches``: of ``network``, if there already."""
+def find_state(
+    network: Network, vm: np.ndarray, va: np.ndarray, branches: BranchModel | None = None, taps: Taps | None = None
+) -> GridState:
+    """The state of voltages vm, va (n_nodes,), p.u. and rad; ``branches``: of ``network``, if there already.
+
+    ``taps``: estimated ones, in place of those of ``network``.
+    """
+    network, estimated = _take_taps(network, taps or {})
     branches = branches or build_branch_model(network)
     v = vm * np.exp(1j * va)
     flows = find_flows(branches, v[network.table.port_node])
-    return GridState(network, branches, vm, va, flows, find_injections(network, branches, flows, vm, va))
+    return GridState(network, branches, vm, va, flows, find_injections(network, branches, flows, vm, va), estimated)
+
+
+def _take_taps(network: Network, taps: Taps) -> tuple[Network, dict[str, EstimatedTap]]:
+    """The network with estimated ``taps``, and these with their steps."""
+    found = {}
+    for name in network.estimated_taps.keys() & taps.keys():
+        branch, (ratio, sigma) = network.branch(name), taps[name]
+        steps = (ratio - branch.tap) / branch.tap_steps if branch.tap_steps else math.nan
+        found[name] = EstimatedTap(ratio, sigma, steps)
+    return network.with_taps({name: tap.ratio for name, tap in found.items()}), found
 
 
 @dataclass(frozen=True, repr=False)
@@ -46,13 +78,14 @@ class AreaVoltages:
     """The voltages that an area states of the nodes that it sees, in its order: vm p.u., va rad.
 
     ``referenced``: whether the angles count from the substation. Flows are known without that, too. ``scan``: number of
-    the scan whose state it is.
+    the scan whose state it is. ``taps``: those that the area estimates.
     """
 
     vm: np.ndarray
     va: np.ndarray
     referenced: bool
     scan: int = 0
+    taps: Taps = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<AreaVoltages of {len(self.vm)} nodes, {'absolute' if self.referenced else 'relative'} angles>"
@@ -65,7 +98,8 @@ def join_states(partition: Partition, by_area: Mapping[str, AreaVoltages]) -> Gr
     The injection of a boundary bus is the sum of the powers into its shunt and the branches of all areas there; nan
     where their voltages are of different scans.
     """
-    network = partition.network
+    of_areas = [own.taps for own in by_area.values()]
+    network, taps = _take_taps(partition.network, dict(ChainMap(*map(dict, of_areas))))
     branches, n = build_branch_model(network), network.n_nodes
     vm, va = np.full(n, np.nan), np.full(n, np.nan)
     at_ports = np.full(len(network.table.ports), complex(np.nan, np.nan))
@@ -84,7 +118,7 @@ def join_states(partition: Partition, by_area: Mapping[str, AreaVoltages]) -> Gr
     for bus, names in partition.boundaries.items():
         if len({by_area[name].scan for name in names if name in by_area}) > 1:
             injection[network.nodes_at(bus)] = complex(np.nan, np.nan)
-    return GridState(network, branches, vm, va, flows, injection)
+    return GridState(network, branches, vm, va, flows, injection, taps)
 
 
 def read_state(state: GridState, meters: Sequence[Meter]) -> np.ndarray:

@@ -71,6 +71,7 @@ class BranchArrays:
     b: np.ndarray
     tap: np.ndarray
     tap_steps: np.ndarray
+    estimate_tap: np.ndarray
     shift: np.ndarray
     in_service: np.ndarray
     switch: np.ndarray
@@ -109,6 +110,7 @@ class BranchArrays:
             b=choose(take("b_us") * 1e-6 * z_base, "b_pu"),
             tap=take("tap_ratio", 1.0),
             tap_steps=take("tap_steps"),
+            estimate_tap=np.array(_take(given, "estimate_tap", n, False), dtype=bool),
             shift=np.radians(take("shift_deg")),
             in_service=np.array(_take(given, "in_service", n, True), dtype=bool),
             switch=np.array(_take(given, "switch", n, False), dtype=bool),
@@ -126,7 +128,7 @@ class BranchArrays:
         columns = {field.name: getattr(self, field.name) for field in fields(Branch) if hasattr(self, field.name)}
         if primitives:
             columns["primitive"] = primitives
-        for key in ("tap_steps", "switch"):
+        for key in ("tap_steps", "estimate_tap", "switch"):
             if not columns[key].any():
                 del columns[key]
         return Records(Branch, _without_unknown(columns, ("i_max", "s_max")) | {"id": self._name()})

@@ -165,7 +165,7 @@ def _read_branch(table: BranchTable, place: _Place) -> Primitive:
     if not phases:
         place.refuse("phases", "missing; in a network with phases each branch says those that it joins")
         phases = _shared(place, table.from_, table.to)
-    for key, default in (("tap_ratio", 1.0), ("tap_steps", 0.0), ("shift_deg", 0.0)):
+    for key, default in (("tap_ratio", 1.0), ("tap_steps", 0.0), ("estimate_tap", False), ("shift_deg", 0.0)):
         if getattr(table, key) != default:
             place.refuse(key, "a branch with phases is a line; give a [[transformer]]")
     at_to = table.to_phases or phases

@@ -169,6 +169,10 @@ class BranchTable(Table):
     """Change of `tap_ratio` by one step of a tap changer. Such taps are checked against the readings
     ([taps](../explanation/theory.md#taps)); 0 where the tap is fixed.
     """
+    estimate_tap: bool = False
+    """True where the tap is estimated, from `tap_ratio` on; needs a voltmeter at both ends
+    ([estimated taps](../explanation/theory.md#estimated-taps)).
+    """
     shift_deg: float = 0.0
     """Phase shift: without load the angle of `to` is that of `from` minus the shift."""
     in_service: bool = True
@@ -313,6 +317,7 @@ class BranchColumns(ColumnsTable):
     g_pu: list[float] | None = None
     tap_ratio: list[Positive] | None = None
     tap_steps: list[float] | None = None
+    estimate_tap: list[bool] | None = None
     shift_deg: list[float] | None = None
     in_service: list[bool] | None = None
     switch: list[bool] | None = None

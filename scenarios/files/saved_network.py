@@ -20,7 +20,7 @@ from scenarios.files.network_columns import default_branch_id
 from scenarios.files.network_phases import find_nominal_across
 
 MOST_BUSES_IN_TOML = 5000  # larger networks become JSON, which is read much faster, and larger than TOML may be
-LEFT_OUT: dict[str, object] = {"in_service": True, "switch": False, "tap_ratio": 1.0}
+LEFT_OUT: dict[str, object] = {"in_service": True, "switch": False, "estimate_tap": False, "tap_ratio": 1.0}
 LEFT_OUT |= dict.fromkeys(("id", "name", "phases", "to_phases"), "")
 LEFT_OUT |= dict.fromkeys(
     ("p_load_mw", "q_load_mvar", "g_shunt_mw", "b_shunt_mvar", "b_pu", "g_pu", "tap_steps", "shift_deg"), 0.0
@@ -110,6 +110,7 @@ def _branch_row(branch: Branch, network: Network) -> dict[str, object]:
         "g_pu": branch.g,
         "tap_ratio": branch.tap,
         "tap_steps": branch.tap_steps,
+        "estimate_tap": branch.estimate_tap,
         "shift_deg": math.degrees(branch.shift),
         "in_service": branch.in_service,
         "switch": branch.switch,

@@ -170,6 +170,7 @@ class RoundsState:
             undecided=self._round.undecided,
             into_children=estimation.into_children,
             dead=tuple(estimation.dead.nonzero()[0].tolist()),
+            taps=estimation.taps,
         )
         if not estimate.is_reasonable(estimation.no_load_va):
             raise ArithmeticError("the estimate is beyond reason")

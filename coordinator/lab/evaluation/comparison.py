@@ -129,7 +129,7 @@ def compare(
         sigma=sigma,
         by_area=by_area,
         published={
-            name: AreaVoltages(np.array(state.vm), np.array(state.va), state.referenced, state.header.scan)
+            name: AreaVoltages(np.array(state.vm), np.array(state.va), state.referenced, state.header.scan, state.taps)
             for name, state in states.items()
             if state.buses
         },

@@ -104,7 +104,8 @@ def format_estimate(report: BadDataReport, tables: Results) -> str:
     )
     findings = "\n".join(map(printable, format_bad_data(report)))
     of_buses = _join_cells(header[: len(columns)], columns)
-    return f"{of_buses}{_remark_on(buses)}\n\n{_format_branches(tables.branches)}\n\n{findings}"
+    of_branches = _format_branches(tables.branches), *_format_taps(tables.branches)
+    return "\n\n".join([f"{of_buses}{_remark_on(buses)}", *of_branches, findings])
 
 
 def _remark_on(buses: Table) -> str:
@@ -152,6 +153,17 @@ def _format_branches(branches: Table) -> str:
         _once(column, is_first[used]) if header in OF_WHOLE else _powers(column) for header, column in known.items()
     ]
     return _join_cells(["branch", *known], [of_branches, *cells])
+
+
+def _format_taps(branches: Table) -> Iterator[str]:
+    """A table of the estimated taps; nothing without any."""
+    if "tap_ratio" not in branches.columns:
+        return
+    here = ~np.isnan(branches.tap_ratio)
+    columns = (branches.tap_ratio, 5), (branches.sigma_tap_ratio, 5), (branches.tap_steps_off, 0)
+    cells = [write_fixed(column[here], digits) for column, digits in columns]
+    names = _name_rows(branches.branch, branches.phase, branches.name)[:, here]
+    yield _join_cells(["branch", "tap ratio", "sigma", "steps off"], [names, *cells])
 
 
 def _describe_backend(report: BadDataReport) -> str:

@@ -44,7 +44,7 @@ def make_area_flows(area: Area, state: StateMessage, freshness: Freshness | None
     vm, va, sigma_vm, sigma_va = (
         np.array(numbers, dtype=float)[order] for numbers in (state.vm, state.va, state.sigma_vm, state.sigma_va)
     )
-    found, unknown = find_state(network, vm, va), np.full(len(vm), np.nan)
+    found, unknown = find_state(network, vm, va, taps=state.taps), np.full(len(vm), np.nan)
     found, problems = _find_own_injections(area, state, found)
     shown = found if state.referenced else replace(found, va=unknown)
     deviations = sigma_vm, sigma_va if state.referenced else unknown, np.full((2, len(vm)), np.nan)
@@ -53,7 +53,7 @@ def make_area_flows(area: Area, state: StateMessage, freshness: Freshness | None
     counts, marks = (len(vm), len(found.branches.branch)), [freshness or freshness_of_state(state)]
     of_buses, of_branches = (mark_rows(marks, np.zeros(count, dtype=np.int64)) for count in counts)
     buses = make_bus_table(shown, [area.name] * len(vm), compared, *deviations, label, of_buses)
-    branches = make_branch_table(network, found.branches, found.flows, label=label, marks=of_branches)
+    branches = make_branch_table(found, label=label, marks=of_branches)
     return add_problems(buses, problems), branches
 
 

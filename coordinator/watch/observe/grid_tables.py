@@ -208,7 +208,7 @@ class GridTables:
         buses = make_bus_table(state, areas, {}, sigma[0], sigma[1], unknown, marks=marks)
         holders = self._holders
         marks = describe_freshness([holders[k] for k in state.branches.branch.tolist()], freshness)
-        branches = make_branch_table(state.network, state.branches, state.flows, marks=marks)
+        branches = make_branch_table(state, marks=marks)
         return add_problems(buses, problems), branches
 
     @cached_property
@@ -312,7 +312,8 @@ class GridTables:
 
     def _voltages_of(self, area: str, state: StateMessage) -> AreaVoltages:
         order = self._order_of(area, state)
-        return AreaVoltages(np.array(state.vm)[order], np.array(state.va)[order], state.referenced, state.header.scan)
+        vm, va = (np.array(of)[order] for of in (state.vm, state.va))
+        return AreaVoltages(vm, va, state.referenced, state.header.scan, state.taps)
 
 
 def _agree_at(bus: int, one: StateMessage, other: StateMessage, most_vm: float, most_va: float) -> bool:

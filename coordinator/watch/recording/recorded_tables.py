@@ -56,6 +56,7 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
         "critical": TEXTS,
         "meters_off": TEXTS,
         "switches": TEXT,
+        "taps": TEXT,
         "telemetry_age_s": NUMBER,
         "oldest_reading_s": NUMBER,
         "messages": INTEGER,
@@ -105,7 +106,7 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
 """Table -> its columns and the type of each."""
 ADDED: Mapping[str, tuple[str, ...]] = {
     "readings": ("estimate", "normalised_residual"),
-    "states": ("split", "split_at", "split_edited", "switches"),
+    "states": ("split", "split_at", "split_edited", "switches", "taps"),
     "buses": ("injection_problem", *_NUMBERS, "phase"),
     "branches": (*_NUMBERS, "phase"),
 }
@@ -311,6 +312,7 @@ def _state_row(at: float, state: StateMessage) -> dict[str, Any]:
         "critical": list(state.critical),
         "meters_off": list(state.meters_off),
         "switches": _as_text(state.switches),
+        "taps": _as_text(state.taps),
         "telemetry_age_s": state.telemetry_age,
         "oldest_reading_s": state.oldest_reading,
         "messages": state.messages,

@@ -59,6 +59,7 @@ TYPES: Mapping[str, Mapping[str, Any]] = {
         "critical": Names,
         "meters_off": Names,
         "switches": Details | None,
+        "taps": Details | None,
         "telemetry_age_s": Number,
         "oldest_reading_s": Number,
         "messages": Count,

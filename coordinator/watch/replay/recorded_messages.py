@@ -222,6 +222,7 @@ _TABLES: Mapping[str, tuple[str, Any]] = {
     "scans": ("scans", _COUNTS),
     "clock_skews": ("clock_skews_s", _NUMBERS),
     "switches": ("switches", dict[Name, Name]),
+    "taps": ("taps", dict[Name, tuple[Number, Number]]),
 }
 """Table of a state -> the column of JSON that holds it, and its type."""
 _SAME = tuple(

@@ -57,7 +57,7 @@ class PortDeviations:
         first = 2 * n + np.cumsum([0, *map(len, of_parts)])
         self._p, self._q, *self._of_loss, self._injections = (np.arange(a, b) for a, b in pairwise(first.tolist()))
         self._vm, self._size = n + np.arange(n), int(first[-1])
-        self._covariance = result.linear.read_by_pieces(np.concatenate([result.va, result.vm]), read)
+        self._covariance = result.linear.read_by_pieces(result.x, read)
 
     def of_branches_and_injections(self) -> tuple[np.ndarray, np.ndarray]:
         """Variances of P, Q, I at the from end, of P, Q, I at the to end, and of the loss, P and Q, (8, n_row); and of

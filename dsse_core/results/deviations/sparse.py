@@ -26,13 +26,14 @@ class SparseDeviations:
         self._result, self._active = result, network.table.active
         self._metered = find_metered_injections(result)
         self._unmetered = np.argwhere(np.isnan(self._metered))
-        read = build_measurement_model(network, build_admittance(network), _meters_of(network, self._unmetered))
+        meters, size = _meters_of(network, self._unmetered), len(result.x)
+        read = build_measurement_model(network, build_admittance(network), meters, first_tap=2 * n)
         self._of_vm, self._rows_from = n + np.arange(n), network.table.f
-        self._of_p = 2 * n + np.arange(len(self._active))
-        self._first_injection = 2 * n + 2 * len(self._active)
+        self._of_p = size + np.arange(len(self._active))
+        self._first_injection = size + 2 * len(self._active)
         p, q, vm = self._of_ends = self._of_p, self._of_p + len(self._active), self._of_vm[self._rows_from]
         joined = np.concatenate([p, p, q]), np.concatenate([q, vm, vm])
-        self._covariance = result.linear.read(np.concatenate([result.va, result.vm]), read, joined)
+        self._covariance = result.linear.read(result.x, read, joined)
 
     def of_branches_and_injections(self) -> tuple[np.ndarray, np.ndarray]:
         """Covariance of P, Q and ln vm at the from ends of branches in service, (n_active, 3, 3); and the variances of

@@ -1,6 +1,7 @@
 """h(x) against the branch equations, H(x) against finite differences."""
 
 import cmath
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -31,6 +32,20 @@ def test_every_derivative_agrees_with_central_differences(meshed, meters_of, kin
         [(model.predict(x + step * e) - model.predict(x - step * e)) / (2 * step) for e in np.eye(len(x))]
     )
     np.testing.assert_allclose(model.jacobian(x).toarray(), numerical, atol=2e-8)
+
+
+def test_derivatives_by_estimated_taps_agree_with_central_differences(meshed, meters_of):
+    network = replace(meshed, branches=tuple(replace(b, estimate_tap=True) for b in meshed.branches))
+    admittance, meters, first = build_admittance(network), meters_of(network, *Kind), 2 * len(network.buses)
+    model, step = build_measurement_model(network, admittance, meters, first_tap=first), 1e-6
+    taps = network.taps * np.random.default_rng(0).uniform(0.9, 1.1, len(network.taps))
+    x = np.r_[random_state(network, 0), taps]
+    numerical = np.column_stack(
+        [(model.predict(x + step * e) - model.predict(x - step * e)) / (2 * step) for e in np.eye(len(x))]
+    )
+    np.testing.assert_allclose(model.jacobian(x).toarray(), numerical, atol=2e-8)
+    moved = network.with_taps(dict(zip(network.estimated_taps, taps.tolist(), strict=True)))
+    np.testing.assert_allclose(model.predict(x), model_of(moved, meters).predict(x[:first]), atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", [Kind.VM, Kind.VA])

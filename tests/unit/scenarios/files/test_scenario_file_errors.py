@@ -92,6 +92,16 @@ def test_a_missing_key_is_named_with_its_meaning(tmp_path: Path) -> None:
     )
 
 
+def test_an_estimated_tap_needs_voltmeters_at_both_ends(tmp_path: Path) -> None:
+    network = find_shipped("cases")["ieee33"].read_text(encoding="utf-8")
+    estimated = network.replace("from = 21, to = 22,", "from = 21, to = 22, estimate_tap = true,")
+    (tmp_path / "tapped.toml").write_text(estimated, encoding="utf-8")
+    assert the_only(problems_of(tmp_path, changed('"ieee33"', '"tapped.toml"'))) == (
+        "network: branch 21-22 has estimate_tap, which needs a voltmeter at both ends; "
+        "add a meter of voltage at bus 21, or leave estimate_tap out"
+    )
+
+
 def test_missing_measurements_are_named(tmp_path: Path) -> None:
     text = GOOD[: GOOD.index("[measurements]")]
     assert the_only(problems_of(tmp_path, text)).startswith("measurements: there is no meter")
