@@ -378,7 +378,7 @@ def test_wrong_measurements_are_all_reported_at_once(rich, estimate):
         "branch none is not in network",
         "branch 6-2 is out of service",
         "branch 3-4 does not end at bus 10",
-        "p_flow@10: branch None",
+        "p_flow@10: stands on a branch; name it, as p_flow@10:BRANCH",
         "vm@4:3-4: a vm meter stands at a bus",
         "vm@5: only an injection of exactly 0 can be virtual",
         "p_injection@7: only an injection of exactly 0 can be virtual",
