@@ -100,13 +100,13 @@ class EstimationResult:
 
     @cached_property
     def estimated_taps(self) -> dict[str, tuple[float, float]]:
-        """Branch -> its estimated tap ratio, and the standard deviation of that."""
-        if not len(self.taps):
+        """Branch -> its estimated tap ratio, and the standard deviation of that; without those that have no supply."""
+        network, first = self.plan.network, 2 * len(self.vm)
+        if not (alive := np.flatnonzero(~network.are_taps_dead).tolist()):
             return {}
-        first = 2 * len(self.vm)
-        variance = np.diag(self.state_covariance(range(first, first + len(self.taps))))
-        found = zip(self.taps.tolist(), np.sqrt(variance).tolist(), strict=True)
-        return dict(zip(self.plan.network.estimated_taps, found, strict=True))
+        sigma = np.sqrt(np.diag(self.state_covariance([first + tap for tap in alive])))
+        names = [*network.estimated_taps]
+        return {names[tap]: (float(self.taps[tap]), of_tap) for tap, of_tap in zip(alive, sigma.tolist(), strict=True)}
 
     @cached_property
     def residual_variance(self) -> np.ndarray:

@@ -157,9 +157,9 @@ def _format_branches(branches: Table) -> str:
 
 def _format_taps(branches: Table) -> Iterator[str]:
     """A table of the estimated taps; nothing without any."""
-    if "tap_ratio" not in branches.columns:
+    here = ~np.isnan(branches.tap_ratio) if "tap_ratio" in branches.columns else np.zeros(0, dtype=bool)
+    if not here.any():
         return
-    here = ~np.isnan(branches.tap_ratio)
     columns = (branches.tap_ratio, 5), (branches.sigma_tap_ratio, 5), (branches.tap_steps_off, 0)
     cells = [write_fixed(column[here], digits) for column, digits in columns]
     names = _name_rows(branches.branch, branches.phase, branches.name)[:, here]

@@ -16,6 +16,7 @@ from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.results.branches import make_branch_table
 from dsse_core.results.results import results_of_estimate
 from dsse_core.results.state import AreaVoltages, join_states
+from scenarios.scenario import load_scenario
 from tests.support.back_ends import back_end
 from tests.support.exact_exchange import SIGMA, assert_equals_centralised, run_feeder
 from tests.support.feeders import KIND, Feeder, make_feeder, read_with_noise
@@ -111,3 +112,20 @@ def test_a_tap_without_a_voltmeter_behind_it_is_not_observable_and_the_cure_is_n
     with pytest.raises(NotObservableError, match="voltage magnitude at bus") as raised:
         estimate_state(network, with_one)
     assert network.branch(one).from_bus in raised.value.buses or network.branch(one).to_bus in raised.value.buses
+
+
+def test_a_tap_without_supply_is_not_among_the_estimated_ones():
+    network = load_scenario("ieee33").network
+    tapped = tuple(
+        replace(b, estimate_tap=b.id in ("7-8", "21-22"), in_service=b.in_service and b.id != "6-7")
+        for b in network.branches
+    )
+    fed = replace(network, branches=tapped).supplied()
+    flow = solve_power_flow(fed)
+    alive = [bus for bus, dead in zip(fed.node_buses, fed.is_dead.tolist(), strict=True) if not dead]
+    meters = [Meter(kind, bus) for kind in (KIND.VM, KIND.P_INJECTION, KIND.Q_INJECTION) for bus in alive]
+    read = tuple(read_with_noise(np.random.default_rng(1), meter, flow, 1.0, 0.0) for meter in meters)
+    found = estimate_state(fed, read).estimated_taps
+    assert found.keys() == {"21-22"}
+    ratio, sigma = found["21-22"]
+    assert abs(ratio - 1.0) < 4 * sigma
