@@ -30,6 +30,7 @@ class ToyEstimation:
         self.removed = self.critical = self.dead_voltmeters = self.into_children = ()
         self.reported: set[str] = set()
         self.gains: dict[str, float] = {}
+        self.taps: dict[str, tuple[float, float]] = {}
         self.before_removal = None
         self.is_first = False
         self.dead, self.dead_places = np.zeros(1, dtype=bool), ()
