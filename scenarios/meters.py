@@ -113,6 +113,8 @@ def find_tap_problems(network: Network, meters: Sequence[Meter]) -> Iterator[str
     """Ends of branches with estimated taps that have no voltmeter: where one lies further away, the drop of voltage in
     between counts as tap.
     """
+    if not network.estimated_taps:
+        return
     metered = {meter.bus for meter in meters if meter.kind is MeasurementKind.VM}
     for name in network.estimated_taps:
         branch = network.branch(name)

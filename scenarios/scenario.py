@@ -15,6 +15,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import OperatingLimits, StateLimits
 from dsse_core.files.strict_table import load_strict
 from dsse_core.files.wording import Suggestions, describe_unknown
+from dsse_core.grid.admittance import flat_start
 from dsse_core.grid.columns import Records, take_items
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import KIND_OF, Measurement, Meter, Source, find_meter_problems
@@ -200,6 +201,7 @@ def load_scenario(
     if partition is not None:
         problems += find_link_problems(file.faults, partition)
         problems += find_gateway_problems(file, partition, meters)
+        problems += _find_problems_of_switching(file, partition.network)
     if partition is None or problems:
         raise InvalidInputError(file.called(path), problems)
     return replace(_build_scenario(path, file, partition, meters, readings), changes=dict(changes or {}))
@@ -242,6 +244,20 @@ def _find_problems_of_phases(file: ScenarioFile, network: Network) -> Iterator[s
             f"faults.load_error: the buses of network {network.name!r} have phases, and areas solve no power flow with "
             "load messages there; remove it, or give faults.link.load"
         )
+
+
+def _find_problems_of_switching(file: ScenarioFile, network: Network) -> Iterator[str]:
+    """Problems of events that leave a grid without power flow, as where a delta loses a phase."""
+    closed: dict[str, bool] = {}
+    for i, event in sorted(enumerate(file.faults.events, 1), key=lambda numbered: numbered[1].at_s):
+        if event.switch is None or network.slack is None or event.switch not in network.switches:
+            continue
+        closed[event.switch] = event.to == "closed"
+        try:
+            flat_start(network.operated(closed).supplied(), network.slack.bus)
+        except InvalidInputError as error:
+            yield f"faults.events[{i}].switch: with {event.switch} {event.to}, {'; '.join(error.problems)}"
+            return
 
 
 def _find_file(name_or_path: str | Path) -> Path:

@@ -91,7 +91,7 @@ def _show(value: object) -> str:
     if isinstance(value, dict):
         return "a table"
     if isinstance(value, list) and value and all(isinstance(item, dict) for item in value):
-        return "1 table" if len(value) == 1 else f"{len(value)} tables"
+        return f"a list of {len(value)} table{'s' if len(value) > 1 else ''}"
     try:
         return f"{value!r:.200}"
     except ValueError:  # Python prints no integer of so many digits

@@ -183,7 +183,8 @@ def _find_idle(network: Network, reference: int, vm: float, va: float) -> tuple[
         loose = abs(lu.U.diagonal())[lu.perm_c] <= 10 * GROUNDED * abs(y.diagonal())
         if loose.any():
             names = ", ".join(map(str, np.unique(table.bus_id[table.nodes.item[free[loose]]]).tolist()))
-            problem = f"nothing joins phases of bus {names} to the source or to ground; ground a winding of their bank"
+            cure = "ground a winding of their bank, or feed all its phases"
+            problem = f"nothing joins phases of bus {names} to the source or to ground; {cure}"
             raise InvalidInputError(f"network {network.name!r}", [problem])
         source[free] = lu.solve(-(ybus[free][:, given] @ source[given]))
     return abs(source), np.angle(source)

@@ -151,10 +151,11 @@ class GridSolver(TableauSolver):
 
     def variance_of_state(self, x: np.ndarray) -> np.ndarray:
         """diag(G^-1), shape (size,); nan where it would take too long."""
+        of_state, free = np.zeros(self.model.size), self.model.free
         if self._has_phases:
-            return self._by_reflections.variances(x, {})[0]
-        of_state = np.zeros(self.model.size)
-        of_state[self.model.free] = self._factor_of(x, {}).state_variance(limited=True)
+            of_state[free] = self._by_reflections.variances(x, {})[0][free]
+        else:
+            of_state[free] = self._factor_of(x, {}).state_variance(limited=True)
         return of_state
 
     def variance_of_residuals(self, x: np.ndarray) -> np.ndarray:

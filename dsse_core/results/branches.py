@@ -57,12 +57,12 @@ def make_branch_table(
         powers[2].real,
         powers[2].imag,
     ]
-    for end, at_end in ((branches.f, values[:3]), (branches.t, values[3:6])):
-        for column in at_end:
+    deviations = np.full((len(QUANTITIES), count), np.nan) if sigmas is None else np.array(sigmas)
+    for end, at_end in ((branches.f, slice(3)), (branches.t, slice(3, 6))):
+        for column in (*values[at_end], *deviations[at_end]):
             column[end < 0] = np.nan
     ones = np.ones(count)
     units = [kw * ones, kw * ones, a_from, kw * ones, kw * ones, a_to, kw * ones, kw * ones]
-    deviations = np.full((len(QUANTITIES), count), np.nan) if sigmas is None else sigmas
     scan, time = label.columns(count)
     columns = BranchColumns(
         branch=[network.branch_ids[k] for k in of_branch],

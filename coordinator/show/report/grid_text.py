@@ -134,14 +134,14 @@ def _format_branches(branches: Table) -> str:
     Numbers of a whole branch with phases, losses among them, stand in its first row.
     """
     is_first, branches = find_first_rows(branches.branch), show_by_site(branches, "branch")
-    larger_at_from = branches.i_from_a >= branches.i_to_a
+    larger = np.fmax(branches.i_from_a, branches.i_to_a)
     shown = {
         "P kW": branches.p_from_kw,
         "sigma P": branches.sigma_p_from_kw,
         "Q kvar": branches.q_from_kvar,
         "sigma Q": branches.sigma_q_from_kvar,
-        "I A": np.fmax(branches.i_from_a, branches.i_to_a),
-        "sigma I": np.where(larger_at_from, branches.sigma_i_from_a, branches.sigma_i_to_a),
+        "I A": larger,
+        "sigma I": np.where(larger == branches.i_from_a, branches.sigma_i_from_a, branches.sigma_i_to_a),
         "neutral A": branches.neutral_a if "neutral_a" in branches.columns else np.full(len(branches), np.nan),
         "loss kW": branches.loss_kw,
         "loading %": branches.loading_percent,

@@ -182,3 +182,48 @@ def test_a_lie_both_ways_beside_a_lie_of_the_other_direction_is_rejected(tmp_pat
 def test_a_band_of_voltages_that_is_empty_is_rejected(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, GOOD + "\n[quality]\nlowest_vm_pu = 1.6\n"))
     assert "lowest_vm_pu is 1.6; it must be below highest_vm_pu, 1.5" in problem
+
+
+BANK_BEHIND_SWITCHES = """
+name = "bank"
+data_source = "made up"
+base_mva = 1.0
+bus = [
+    { id = 1, base_kv = 12.47, phases = "abc" }, { id = 2, base_kv = 12.47, phases = "abc" },
+    { id = 3, base_kv = 0.48, phases = "abc" },
+]
+source = [{ bus = 1, kind = "slack", vm_pu = 1.0 }]
+load = [{ bus = 3, phases = "ab,bc,ca", p_kw = [60.0, 20.0, 40.0], q_kvar = [10.0, 5.0, 20.0] }]
+branch = [
+    { id = "a", from = 1, to = 2, phases = "a", r_ohm = 1.0, x_ohm = 1.0, switch = true },
+    { id = "b", from = 1, to = 2, phases = "b", r_ohm = 1.0, x_ohm = 1.0, switch = true },
+    { id = "c", from = 1, to = 2, phases = "c", r_ohm = 1.0, x_ohm = 1.0, switch = true },
+]
+[[transformer]]
+id = "yd"
+kva = 300.0
+r_percent = 1.0
+x_percent = 4.0
+windings = [
+    { bus = 2, phases = "abc", kv = 12.47, connection = "grounded wye" },
+    { bus = 3, phases = "abc", kv = 0.48, connection = "delta" },
+]
+"""
+
+
+def test_an_event_that_leaves_a_winding_without_voltage_is_rejected(tmp_path: Path) -> None:
+    (tmp_path / "bank.toml").write_text(BANK_BEHIND_SWITCHES, encoding="utf-8")
+    text = """
+version = 1
+description = "a bank"
+network = "bank.toml"
+areas = { area1 = { buses = [1, 2, 3] } }
+[measurements]
+voltage = { buses = [1, 2, 3], sigma_percent = 0.5 }
+injection = { buses = "all", sigma_percent = 10.0 }
+"""
+    later, sooner = 'at_s = 2, switch = "c", to = "open"', 'at_s = 1, switch = "b", to = "open"'
+    assert the_only(problems_of(tmp_path, text + events(later, sooner))) == (
+        "faults.events[1].switch: with c open, nothing joins phases of bus 3 to the source or to ground; "
+        "ground a winding of their bank, or feed all its phases"
+    )
