@@ -214,9 +214,9 @@ def test_a_conductor_without_one_of_its_ends_is_empty_there_and_losses_add_up(fe
     branches = results_of_estimate(result).branches
     here = [branches.branch.index("684-1") + k for k in range(3)]
     assert [branches.phase[k] for k in here] == ["a", "s1", "s2"]
-    for column in (branches.p_from_kw, branches.sigma_p_from_kw, branches.sigma_i_from_a):
+    for column in (branches.p_from_kw, branches.sigma_p_from_kw):
         np.testing.assert_array_equal(np.isnan(column[here]), [False, True, True])
-    for column in (branches.i_to_a, branches.sigma_i_to_a):
+    for column in (branches.i_to_a, branches.sigma_p_to_kw):
         np.testing.assert_array_equal(np.isnan(column[here]), [True, False, False])
     drawn = KW * find_shunt_powers(network, result.vm, result.va).real.sum()
     assert branches.loss_kw.sum() + drawn == pytest.approx(results_of_estimate(result).buses.p_kw.sum())
