@@ -33,13 +33,14 @@ for number in sorted(signal.valid_signals()):
         print(number)
 """
 ORDERLY = """
-import os, sys
+import os, sys, time
 from coordinator.watch import interrupts
 interrupts.end_at_once()
 interrupts.end_orderly_on_signals()
 for number in interrupts.ENDS:
     try:
         os.kill(os.getpid(), number)
+        time.sleep(30)  # a handler may run a moment later, and ends this
     except KeyboardInterrupt:
         continue
     sys.exit(f"{number} was not heard")
