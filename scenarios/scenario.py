@@ -247,10 +247,12 @@ def _find_problems_of_phases(file: ScenarioFile, network: Network) -> Iterator[s
 
 
 def _find_problems_of_switching(file: ScenarioFile, network: Network) -> Iterator[str]:
-    """Problems of events that leave a grid without power flow, as where a delta loses a phase."""
+    """Problems of events that leave a grid with phases without power flow, as where a delta loses one."""
+    if network.slack is None or network.table.nodes.is_balanced:
+        return
     closed: dict[str, bool] = {}
     for i, event in sorted(enumerate(file.faults.events, 1), key=lambda numbered: numbered[1].at_s):
-        if event.switch is None or network.slack is None or event.switch not in network.switches:
+        if event.switch is None or event.switch not in network.switches:
             continue
         closed[event.switch] = event.to == "closed"
         try:
