@@ -312,7 +312,7 @@ def _estimate_once(loaded: Scenario, output: Output) -> None:
     output.check_table(TABLES, "of one scan")
     report, truth = estimate_whole_grid(loaded)
     tables = results_of_estimate(report, partition=loaded.partition, meters=loaded.meters, truth=truth)
-    is_changed = report.removed or report.switched or report.detected
+    is_changed = report.removed or report.switched or report.detected or report.result.network.dead
     notes = format_bad_data(report)[1:] if is_changed else []
     hand_over(output, tables, lambda: estimate_as_json(loaded, report), lambda: format_estimate(report, tables), notes)
 

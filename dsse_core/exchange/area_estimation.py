@@ -7,7 +7,7 @@ centralised estimate.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar, cast
 
@@ -26,7 +26,6 @@ from dsse_core.exchange.feeder_bad_data import (
     find_objective,
 )
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area
 from dsse_core.grid.quantities import Quantity
 from dsse_core.grid.supply import FED, Pieces, find_alternatives, find_pieces, find_pieces_for
@@ -201,11 +200,8 @@ class AreaEstimation:
 
     @property
     def dead_places(self) -> tuple[str, ...]:
-        """Names of the area's buses without supply, or of ranges of them, then of nodes of others."""
-        network, nodes = self.area.network, self.area.network.table.nodes
-        is_whole = np.logical_and.reduceat(self.dead, nodes.first)
-        alone = np.flatnonzero(self.dead & ~is_whole[nodes.item]).tolist()
-        return *_name_buses(network.table.bus_id[is_whole].tolist()), *(network.node_names[node] for node in alone)
+        """Names of the area's places without supply, see ``Network.dead_places``."""
+        return self._supplied.network.dead_places
 
     def pieces_for(self, neighbour: str, received: Mapping[str, Pieces]) -> Pieces:
         """The pieces of the boundary to ``neighbour`` on this side of it, before the first step; empty afterwards."""
@@ -393,9 +389,9 @@ class AreaEstimation:
             referenced=self.area.is_at_reference or model.reads_reference,
             silent=tuple(sorted(self._silent)),
             stale=(name,) if self._is_stale else (),
-            unobservable=_name_nodes(self.area.network, [node for node in self.unobservable if self._is_own[node]]),
+            unobservable=self.area.network.name_nodes([node for node in self.unobservable if self._is_own[node]]),
             energised=self._find_energised()[:MOST_NAMED],
-            dark=self._find_dark()[:MOST_NAMED],
+            dark=self._supplied.network.open_around_dead[:MOST_NAMED],
         )
 
     def _count_dead(self) -> int:
@@ -406,14 +402,6 @@ class AreaEstimation:
         """Ids of the voltmeters that read a voltage at a node without supply."""
         read = [m for m in self._readings if m.meter.kind is MeasurementKind.VM and m.value >= DEAD_VM]
         return tuple(sorted(m.meter.id for m in self._split_dead(read)[1]))
-
-    def _find_dark(self) -> tuple[str, ...]:
-        """Ids of the open branches with an end without supply."""
-        if not self.dead.any():
-            return ()
-        network = self.area.network
-        opened = (branch.id for branch in network.branches if not branch.in_service)
-        return tuple(sorted(branch for branch in opened if self.dead[network.nodes_of(branch)].any()))
 
     def _multiply_own(self, a: np.ndarray, b: np.ndarray) -> float:
         """Product of two steps over the voltages of the area's own buses."""
@@ -600,24 +588,6 @@ def _checked(information: BoundaryInformation) -> BoundaryInformation:
     if not are_within_reason((*information.R.flat, *information.z)):
         raise ArithmeticError("the information of this side is beyond reason")
     return information
-
-
-def _name_nodes(network: Network, nodes: Sequence[int]) -> tuple[str, ...]:
-    """Names of nodes: "671.a", of balanced buses "7" or "12-19"."""
-    if network.node_phases:
-        return tuple(network.node_names[node] for node in nodes)
-    return _name_buses(network.node_buses[node] for node in nodes)
-
-
-def _name_buses(buses: Iterable[int]) -> tuple[str, ...]:
-    """Names of buses: "7" or "12-19"."""
-    runs: list[list[int]] = []
-    for bus in sorted(buses):
-        if runs and bus == runs[-1][-1] + 1:
-            runs[-1].append(bus)
-        else:
-            runs.append([bus])
-    return tuple(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
 
 
 def _flat_start(area: Area) -> np.ndarray:

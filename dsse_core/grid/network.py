@@ -225,6 +225,12 @@ class Network:
         is_known[self.nodes_at(reference)] = True
         return np.flatnonzero(~is_known)
 
+    def name_nodes(self, nodes: Sequence[int]) -> tuple[str, ...]:
+        """Names of nodes: "671.a", of balanced buses "7" or "12-19"."""
+        if self.node_phases:
+            return tuple(self.node_names[node] for node in nodes)
+        return _name_buses(self.node_buses[node] for node in nodes)
+
     def nodes_of(self, branch_id: str) -> list[int]:
         """The rows of the nodes at both ends of a branch, in service or not."""
         branch = self.branch(branch_id)
@@ -299,6 +305,20 @@ class Network:
     def is_dead(self) -> np.ndarray:
         """True for nodes without supply, (n_nodes,)."""
         return self.table.is_dead
+
+    @property
+    def dead_places(self) -> tuple[str, ...]:
+        """Names of buses without supply, or of ranges of them, then of nodes of others."""
+        nodes = self.table.nodes
+        is_whole = np.logical_and.reduceat(self.is_dead, nodes.first)
+        alone = np.flatnonzero(self.is_dead & ~is_whole[nodes.item]).tolist()
+        return *_name_buses(self.table.bus_id[is_whole].tolist()), *(self.node_names[node] for node in alone)
+
+    @property
+    def open_around_dead(self) -> tuple[str, ...]:
+        """Ids of the open branches with an end without supply."""
+        opened = [branch.id for branch in self.branches if not branch.in_service] if self.dead else []
+        return tuple(sorted(branch for branch in opened if self.is_dead[self.nodes_of(branch)].any()))
 
     @cached_property
     def with_tap_steps(self) -> tuple[Branch, ...]:
@@ -451,6 +471,17 @@ class Network:
 
 def _duplicates(items: Iterable[object]) -> list[object]:
     return [item for item, count in Counter(items).items() if count > 1]
+
+
+def _name_buses(buses: Iterable[int]) -> tuple[str, ...]:
+    """Names of buses: "7" or "12-19"."""
+    runs: list[list[int]] = []
+    for bus in sorted(buses):
+        if runs and bus == runs[-1][-1] + 1:
+            runs[-1].append(bus)
+        else:
+            runs.append([bus])
+    return tuple(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
 
 
 def _find_problems(network: Network) -> Iterable[str]:

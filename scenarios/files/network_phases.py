@@ -165,9 +165,11 @@ def _read_branch(table: BranchTable, place: _Place) -> Primitive:
     if not phases:
         place.refuse("phases", "missing; in a network with phases each branch says those that it joins")
         phases = _shared(place, table.from_, table.to)
-    for key, default in (("tap_ratio", 1.0), ("tap_steps", 0.0), ("estimate_tap", False), ("shift_deg", 0.0)):
+    for key, default in (("tap_ratio", 1.0), ("tap_steps", 0.0), ("shift_deg", 0.0)):
         if getattr(table, key) != default:
             place.refuse(key, "a branch with phases is a line; give a [[transformer]]")
+    if table.estimate_tap:
+        place.refuse("estimate_tap", "taps of networks with phases are not estimated; leave it out")
     at_to = table.to_phases or phases
     for key, text in (("phases", phases), ("to_phases", table.to_phases)):
         if text and not read_phases([text])[0]:

@@ -86,6 +86,7 @@ def report_as_json(report: BadDataReport) -> dict[str, Any]:
             for removed in report.removed
         ],
         "switched": list(report.switched),
+        "without_supply": list(report.result.network.dead_places),
         "critical": list(report.critical),
     }
 

@@ -16,6 +16,7 @@ from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.estimation.residuals import describe_tap
 from dsse_core.estimation.switches import describe_switches
 from dsse_core.grid.gauge import describe_ungrounded
+from dsse_core.grid.network import Network
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.printable import all_printable, printable, shortened
 from dsse_core.results.columns import find_first_rows
@@ -185,7 +186,7 @@ def format_bad_data(report: BadDataReport) -> list[str]:
             f"removed as bad data: {removed.measurement.meter} (normalised residual {removed.normalized_residual:.3g})"
             + (f"; the data cannot tell it from {', '.join(others)}" if others else "")
         )
-    lines += describe_switches(report.switched, report.gains)
+    lines += [*describe_switches(report.switched, report.gains), *_describe_dead(report.result.network)]
     if report.detected:
         lines.append(f"bad data is still detected{_format_suspect(report)}")
     elif not (report.removed or report.switched):
@@ -199,6 +200,13 @@ def format_bad_data(report: BadDataReport) -> list[str]:
     if report.critical:
         lines.append(f"critical, their errors cannot be seen: {', '.join(report.critical)}")
     return lines
+
+
+def _describe_dead(network: Network) -> Iterator[str]:
+    """A line on places without supply; none where all are supplied."""
+    if places := network.dead_places:
+        opened = ", ".join(network.open_around_dead)
+        yield f"without supply, shown as 0 p.u.: bus {', '.join(places)}; open around: {opened}"
 
 
 def _format_suspect(report: BadDataReport) -> str:

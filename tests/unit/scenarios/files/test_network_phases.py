@@ -348,6 +348,10 @@ def test_ieee13_has_the_matrix_and_the_voltages_of_opendss() -> None:
             "branch[1].tap_ratio: a branch with phases is a line; give a",
         ),
         (
+            ("r_ohm = 2.4", "estimate_tap = true, r_ohm = 2.4"),
+            "branch[1].estimate_tap: taps of networks with phases are not estimated; leave it out",
+        ),
+        (
             ("r_ohm = 2.4, x_ohm = 4.8, b_us = 3.0", "r0_ohm = 1.1, r_pu = 1, x_pu = 1"),
             "branch[1]: mixes ohm and microsiemens with",
         ),

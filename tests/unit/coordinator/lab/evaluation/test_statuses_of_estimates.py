@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from coordinator.cli.main import run_command
+from coordinator.lab.evaluation.answers import report_as_json
 from coordinator.lab.evaluation.scan_estimates import (
     estimate_scans,
     estimate_whole_grid,
@@ -13,6 +14,7 @@ from coordinator.lab.evaluation.scan_estimates import (
     operate_scans,
     with_one_scan,
 )
+from coordinator.show.report.grid_text import format_bad_data
 from dsse_core.errors import InvalidInputError
 from dsse_core.results.results import results_of_estimate
 from scenarios.files.readings.file import Scans
@@ -42,6 +44,9 @@ def test_a_section_that_an_opened_switch_leaves_without_supply_is_0_in_the_table
     for name in ("vm_pu", "sigma_vm_pu", "p_kw", "sigma_p_kw", "true_vm_pu"):
         assert ((tables.buses[name] == 0.0) == is_dead).all()
     assert not np.isnan(tables.areas.sigma_load_kw).any()
+    said = format_bad_data(report)
+    assert "without supply, shown as 0 p.u.: bus 8-18; open around: 12-22, 18-33, 21-8, 7-8, 9-15" in said
+    assert report_as_json(report)["without_supply"] == ["8-18"]
     dead = [m for m, status in zip(tables.meters.meter, tables.meters.status, strict=True) if status == "silent: dead"]
     assert sorted(dead) == sorted(meter.id for meter in scenario.meters if 8 <= meter.bus <= 18)
     real = [m for m in make_telemetry(scenario).union if m.sigma]
