@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 
-CARRIED = 1e-4  # share of a branch's admittances, below which one is charging, or rounding
-
-
 @dataclass(frozen=True)
 class NetworkTable:
     """Columns of ``Bus``, shape (n_bus,), and of ``Branch``, (n_all_branches,), p.u. and rad.
@@ -195,7 +192,7 @@ class NetworkTable:
         ends: list[np.ndarray] = [np.zeros((2, 0), dtype=np.int64)]
         for place, k in enumerate(self.active.tolist()):
             ports = np.concatenate([self.ports.at(place), self.ports.at(len(self.active) + place)])
-            ends.append(self.port_node[ports[np.array(_find_joined_ports(self.primitives[k]))]])
+            ends.append(self.port_node[ports[self.primitives[k].joined_ports]])
         row, column = np.hstack(ends)
         graph = coo_array((np.ones(len(row)), (row, column)), shape=(len(self.nodes),) * 2)
         number: np.ndarray = connected_components(graph, directed=False)[1]
@@ -227,16 +224,6 @@ class NetworkTable:
         n_ports = np.bitwise_count(self.branch_phases).sum(axis=0).tolist()
         are_square = all(y.shape == c.shape == (n, n) for (y, c), n in zip(matrices, n_ports, strict=True))
         return are_square and bool(np.isfinite(np.concatenate([m.ravel() for both in matrices for m in both])).all())
-
-
-def _find_joined_ports(primitive: Primitive) -> tuple[np.ndarray, np.ndarray]:
-    """The pairs of ports of a branch that its conductors or windings join."""
-    y = primitive.y - primitive.charging
-    if primitive.is_straight:
-        at_from, at_to = np.arange(len(y)).reshape(2, -1)
-        return at_from, at_to
-    row, column = np.nonzero(abs(y) > CARRIED * abs(y).max(initial=0.0))
-    return row, column
 
 
 def tabulate(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -17,6 +17,7 @@ PHASES = ("", "a", "b", "c", "s1", "s2")  # "": all three of a balanced network;
 ANY_PHASE = "[abc]|s[12]"  # pattern
 PHASE_ANGLE = np.radians([0.0, 0.0, -120.0, 120.0, 0.0, 180.0])  # of each phase at a substation of angle 0
 BALANCED = 1  # set of phases, a bit for each: that of a balanced bus
+CARRIED = 1e-4  # share of a branch's admittances, below which one is charging, or rounding
 ROUNDING = 1e-9  # share of the largest admittance of a branch, below which a sum of some is 0
 _BIT = 1 << np.arange(len(PHASES))
 
@@ -117,13 +118,21 @@ class Primitive:
     y: np.ndarray
     charging: np.ndarray
 
-    @property
+    @cached_property
     def is_straight(self) -> bool:
         """True for a line, and for what is one in p.u.: equal voltages at both ends draw charging only."""
         y, n = self.y - self.charging, len(self.y) // 2
         if self.from_phases != self.to_phases or not n:
             return False
         return bool(abs(y[:, :n] + y[:, n:]).max() <= ROUNDING * abs(y).max())
+
+    @cached_property
+    def joined_ports(self) -> np.ndarray:
+        """The pairs of ports that conductors or windings join, (2, n_pair)."""
+        if self.is_straight:
+            return np.arange(len(self.y)).reshape(2, -1)
+        y = abs(self.y - self.charging)
+        return np.array(np.nonzero(y > CARRIED * y.max(initial=0.0)))
 
     def without(self, dead: np.ndarray) -> Primitive:
         """The branch with no current at its ports ``dead`` (n_port,): there and between them and others y is 0.
