@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,14 +15,24 @@ from dsse_core.grid.switches import keep_in_service
 from dsse_core.linear.boundary_information import BoundaryInformation
 
 
+@dataclass(frozen=True, slots=True)
+class _Evidence:
+    """Evidence on a gateway. ``sums``: factor of a mistake -> that of scans; ``times``: power meter that counts -> when
+    it was read.
+    """
+
+    sums: Mapping[float, float] = field(default_factory=dict)
+    times: Mapping[str, float] = field(default_factory=dict)
+
+
 class GatewayWatch:
     """Watch on the gateways of an area. ``mistaken``: gateway -> likely mistake in all its power readings, in words."""
 
     def __init__(self, area: Area) -> None:
         self.mistaken: Mapping[str, str] = {}
         self._area, self._test = area, GatewayTest(area)
-        self._sums: dict[str, dict[float, float]] = {}  # gateway -> factor of a mistake -> evidence of scans
-        self._times: dict[str, Mapping[str, float]] = {}  # gateway -> when the powers that count last were measured
+        self._found: Mapping[str, _Evidence] = {}
+        self._before: Mapping[str, _Evidence] = {}  # this scan
         self._scan = 0
 
     def weigh(
@@ -33,45 +44,46 @@ class GatewayWatch:
         *,
         is_fed: bool = True,
     ) -> None:
-        """Counts the evidence of ``scan`` once; ``area``: with its switches as in that scan. Evidence by other statuses
-        of switches counts no more, and none counts unless all of the area ``is_fed``: without supply powers are noise.
+        """Counts the evidence of ``scan``, of which an end replaces the end before; ``area``: with its switches as in
+        that end. Evidence by other statuses of switches counts no more, and none counts unless all of the area
+        ``is_fed``: without supply powers are noise.
 
         ``known``: state of the area and information of its neighbours. A gateway counts again when all its powers have
         been measured again: evidence of one reading counts once.
         """
         if area is not self._area:
             self._area, self._test = area, GatewayTest(area)
-            self._sums, self._times, self.mistaken = {}, {}, {}
-        if scan == self._scan:
-            return
-        self._scan = scan
+            self._found = self._before = {}
+        if scan != self._scan:
+            self._scan, self._before = scan, self._found
         powers = {m.meter.id for m in readings.measurements if m.meter.kind.of_power}
-        for gateway in self._sums.keys() - readings.senders.keys():
-            del self._sums[gateway], self._times[gateway]
+        found = {}
         for gateway, meters in readings.senders.items():
             times = {meter: readings.ages.times[meter] for meter in meters if meter in powers}
-            if is_fed and times and not times.items() & self._times.get(gateway, {}).items():
-                self._times[gateway] = times
-                self._count(gateway, readings, times, known)
-        likeliest = {gateway: max(sums, key=sums.__getitem__) for gateway, sums in self._sums.items()}
+            before = self._before.get(gateway, _Evidence())
+            counts = is_fed and times and not times.items() & before.times.items()
+            found[gateway] = self._add(before, readings, times, known) if counts else before
+        self._found = found
+        likeliest = {gateway: max(e.sums, key=e.sums.__getitem__) for gateway, e in found.items() if e.sums}
         self.mistaken = {
             gateway: MISTAKES[factor]
             for gateway, factor in likeliest.items()
-            if self._sums[gateway][factor] > THRESHOLD
+            if found[gateway].sums[factor] > THRESHOLD
         }
 
-    def _count(
+    def _add(
         self,
-        gateway: str,
+        before: _Evidence,
         readings: Readings,
-        meters: Mapping[str, float],
+        times: Mapping[str, float],
         known: tuple[np.ndarray, Mapping[str, BoundaryInformation]] | None,
-    ) -> None:
+    ) -> _Evidence:
         x, received = known or (None, {})
         in_use = keep_in_service(self._area.network, readings.measurements)
         try:
-            found = self._test.weigh(in_use, meters, x, received)
+            found = self._test.weigh(in_use, times, x, received)
         except FAILURES:  # absurd readings, which other checks note
             found = {}
-        former = self._sums.get(gateway, {})
-        self._sums[gateway] = {factor: add_up(former.get(factor, 0.0), found.get(factor, 0.0)) for factor in MISTAKES}
+        return _Evidence(
+            {factor: add_up(before.sums.get(factor, 0.0), found.get(factor, 0.0)) for factor in MISTAKES}, times
+        )

@@ -63,6 +63,14 @@ def test_a_scan_and_a_reading_count_once():
     assert count(4) == {"two": "sign"}
 
 
+def test_the_last_end_of_a_scan_is_its_evidence():
+    _, (count, evidence) = make_watch(2 * THRESHOLD)
+    assert count(1) == {"two": "sign"}
+    evidence.ratio = 0.3 * THRESHOLD  # a neighbour has learnt the status of a switch
+    assert [count(1), count(2), count(3)] == [{}, {}, {}]
+    assert count(4) == {"two": "sign"}
+
+
 def test_a_gateway_that_sends_no_more_is_forgotten():
     watch, (count, _) = make_watch(2 * THRESHOLD)
     assert count(1) == {"two": "sign"}
