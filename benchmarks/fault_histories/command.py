@@ -11,7 +11,7 @@ import csv  # noqa: E402
 import math  # noqa: E402
 import multiprocessing  # noqa: E402
 import platform  # noqa: E402
-from collections.abc import Iterator, Sequence  # noqa: E402
+from collections.abc import Callable, Iterator, Sequence  # noqa: E402
 from concurrent.futures import ProcessPoolExecutor  # noqa: E402
 from dataclasses import astuple, fields  # noqa: E402
 from functools import partial  # noqa: E402
@@ -21,7 +21,7 @@ import click  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.progress import track  # noqa: E402
 
-from benchmarks.fault_histories.history import AREAS, GAP, SWITCHING, HistoryOutcome, run_history  # noqa: E402
+from benchmarks.fault_histories.history import AREAS, GAP, HistoryOutcome, run_history  # noqa: E402
 from benchmarks.measuring.figures import figures_option, list_facts, write_section  # noqa: E402
 from benchmarks.measuring.machine import describe_machine  # noqa: E402
 from coordinator.lab.studies.executors import open_executor, run_units  # noqa: E402
@@ -39,13 +39,13 @@ UNIT_HERE = 4  # histories at a time for a process of this machine
 @click.option("--first", type=click.IntRange(0), default=0, help="The first seed.")
 @click.option("--jobs", type=click.IntRange(1), default=2, help="Processes at a time.")
 @click.option("--phases", type=click.Choice([*AREAS]), help="Of this feeder with all its phases; else balanced ones.")
-@click.option("--switching", is_flag=True, help="Switches are operated; of balanced feeders with ties.")
+@click.option("--switching", is_flag=True, help="Ties are added, and switches operated.")
 @click.option("--executor", metavar="dask://HOST:PORT", help="Run on the workers of this scheduler instead.")
 @click.option(
     "--out",
     type=click.Path(dir_okay=False, path_type=Path),
     help="Table, a row for each seed; seeds that it has are not run again. "
-    "By default runs/fault-histories.csv; -of-ieee13 or -of-ieee123 with --phases, -of-switching with --switching.",
+    "By default runs/fault-histories.csv; -of-ieee13 or -of-ieee123 with --phases, -switching with --switching.",
 )
 @figures_option
 def main(
@@ -59,10 +59,8 @@ def main(
     figures: str | None,
 ) -> None:
     """Run histories of faults and say how many ended at the fixed point and how many good states were wrong."""
-    if phases and switching:
-        raise click.UsageError("--phases and --switching are two kinds of feeders; give one of them")
-    kind = phases or (SWITCHING if switching else "")
-    out = out or Path("runs") / f"fault-histories{f'-of-{kind}' if kind else ''}.csv"
+    kind = f"{f'-of-{phases}' if phases else ''}{'-switching' if switching else ''}"
+    out = out or Path("runs") / f"fault-histories{kind}.csv"
     out.parent.mkdir(parents=True, exist_ok=True)
     done = read_table(out)
     seeds = range(first, first + count)
@@ -71,8 +69,8 @@ def main(
         table = csv.writer(file)
         if not file.tell():
             table.writerow((*COLUMNS, *ORIGIN))
-        console = Console(stderr=True)
-        for outcome, *origin in track(_run(missing, jobs, executor, kind), "histories", len(missing), console=console):
+        console, run = Console(stderr=True), partial(run_history, phases=phases or "", switching=switching)
+        for outcome, *origin in track(_run(missing, jobs, executor, run), "histories", len(missing), console=console):
             table.writerow((*astuple(outcome), *origin))
             file.flush()
             done[outcome.seed] = outcome
@@ -116,23 +114,25 @@ def summarise(outcomes: Sequence[HistoryOutcome]) -> dict[str, str]:
     return facts
 
 
-def run_histories(seeds: Sequence[int], kind: str = "") -> list[tuple[HistoryOutcome, str, str]]:
+def run_histories(run: Callable[[int], HistoryOutcome], seeds: Sequence[int]) -> list[tuple[HistoryOutcome, str, str]]:
     """Outcomes of one unit of work, each with host and versions. Small areas, too, use the compiled back end."""
     before, choose.RADIAL_FROM = choose.RADIAL_FROM, 0
     try:
-        return [(run_history(seed, kind), platform.node(), describe_versions()) for seed in seeds]
+        return [(run(seed), platform.node(), describe_versions()) for seed in seeds]
     finally:
         choose.RADIAL_FROM = before
 
 
-def _run(seeds: Sequence[int], jobs: int, address: str | None, kind: str) -> Iterator[tuple[HistoryOutcome, str, str]]:
-    run = partial(run_histories, kind=kind)
+def _run(
+    seeds: Sequence[int], jobs: int, address: str | None, run: Callable[[int], HistoryOutcome]
+) -> Iterator[tuple[HistoryOutcome, str, str]]:
+    run_some = partial(run_histories, run)
     if address is not None:
         with open_executor(address) as executor:
-            yield from run_units(executor, run, seeds)
+            yield from run_units(executor, run_some, seeds)
     elif jobs == 1:
         for seed in seeds:
-            yield run_history(seed, kind), platform.node(), describe_versions()
+            yield run(seed), platform.node(), describe_versions()
     else:
         with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
-            yield from run_units(pool, run, seeds, UNIT_HERE)
+            yield from run_units(pool, run_some, seeds, UNIT_HERE)

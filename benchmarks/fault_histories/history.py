@@ -49,7 +49,6 @@ HEARTBEAT_S = 0.2
 FAULTS_S = 2.4  # time with faults
 PATIENCE_S = 60.0  # afterwards
 SCANS = 3
-SWITCHING = "switching"
 AREAS = {"ieee13": (3, 6), "ieee123": (6, 10)}  # fewest and most, of a feeder with phases
 
 
@@ -130,12 +129,12 @@ class World:
         return stamp_split(files, time=0.0)
 
 
-def run_history(seed: int, kind: str = "") -> HistoryOutcome:
-    """Draw and run one history. ``kind``: a shipped feeder with phases; empty for a random balanced one, ``SWITCHING``
-    for one with ties, in which switches are operated between scans.
+def run_history(seed: int, phases: str = "", *, switching: bool = False) -> HistoryOutcome:
+    """Draw and run one history. ``phases``: a shipped feeder with phases; empty for a random balanced one.
+    ``switching``: with ties, and switches are operated between scans.
     """
     rng = np.random.default_rng(seed)
-    world = draw_unbalanced_world(rng, kind) if kind in AREAS else draw_world(rng, switching=kind == SWITCHING)
+    world = draw_unbalanced_world(rng, phases, switching=switching) if phases else draw_world(rng, switching=switching)
     severity = float(rng.random())  # share of the possible faults that happen
     shown: list[StateMessage] = []
     links = [(area.name, n.area) for area in world.partition.areas for n in area.neighbours]
@@ -173,10 +172,13 @@ def draw_world(rng: np.random.Generator, *, switching: bool = False) -> World:
     return _read_world(rng, draw_switches(rng, network) if switching else network, n_area)
 
 
-def draw_unbalanced_world(rng: np.random.Generator, name: str) -> World:
-    """A shipped feeder with phases, cut at random: boundaries of one to three, at delta loads too."""
-    fewest, most = AREAS[name]
-    return _read_world(rng, load_case(name), int(rng.integers(fewest, most + 1)))
+def draw_unbalanced_world(rng: np.random.Generator, name: str, *, switching: bool = False) -> World:
+    """A shipped feeder with phases, cut at random: boundaries of one to three, at delta loads too; ``switching``: as of
+    balanced ones.
+    """
+    (fewest, most), network = AREAS[name], load_case(name)
+    n_area = int(rng.integers(fewest, most + 1))
+    return _read_world(rng, draw_switches(rng, network) if switching else network, n_area)
 
 
 def _read_world(rng: np.random.Generator, network: Network, n_area: int) -> World:

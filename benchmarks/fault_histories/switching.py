@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from agents.protocol.events import Ordered
 from coordinator.lab.simulator.simulator import STARTED_AT, SimulatedBus
 from dsse_core.errors import DsseError
 from dsse_core.grid.network import Branch, Network
+from dsse_core.grid.nodes import Primitive, list_phases
+from dsse_core.grid.primitives import build_line
 from dsse_core.grid.switches import READ_AS, name_status_meter, name_statuses
 from scenarios.telemetry import solve_with_supply
 
@@ -22,14 +25,28 @@ MOST_TIES = 3
 
 
 def draw_switches(rng: np.random.Generator, network: Network) -> Network:
-    """``network`` with 1 to 3 open ties, and 1 or 2 of its branches, which may be operated."""
+    """``network`` with 1 to 3 open ties, and 1 or 2 of its branches, which may be operated, all phases at once."""
     ids, buses = network.branch_ids, [bus.id for bus in network.buses]
     opened = set(rng.choice(len(ids), size=int(rng.integers(1, 3)), replace=False).tolist())
     branches = [replace(branch, switch=k in opened) for k, branch in enumerate(network.branches)]
     for k in range(int(rng.integers(1, MOST_TIES + 1))):
+        tie = Branch(f"tie{k}", 0, 0, r=0.007, x=0.01, in_service=False, switch=True)
         one, other = rng.choice(buses, size=2, replace=False).tolist()
-        branches.append(Branch(f"tie{k}", one, other, r=0.007, x=0.01, in_service=False, switch=True))
+        while (primitive := _join(network, one, other)) is None:
+            one, other = rng.choice(buses, size=2, replace=False).tolist()
+        branches.append(replace(tie, from_bus=one, to_bus=other, primitive=primitive or None))
     return replace(network, branches=tuple(branches))
+
+
+def _join(network: Network, *ends: int) -> Primitive | Literal[""] | None:
+    """A line of the phases that both ends have, "" where buses have no phases; None where no line can join them."""
+    if network.table.nodes.is_balanced:
+        return ""
+    one, other = map(network.bus, ends)
+    phases = "".join(phase for phase in list_phases(one.phases) if phase in other.phases)
+    if not phases or one.base_kv != other.base_kv:
+        return None
+    return build_line(phases, np.full((len(phases),) * 2, 0.003j) + np.eye(len(phases)) * (0.007 + 0.007j))
 
 
 def draw_statuses(rng: np.random.Generator, network: Network, closed: Mapping[str, bool]) -> Mapping[str, bool]:

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from benchmarks.fault_histories import command as fault_histories
-from benchmarks.fault_histories.history import GAP, SWITCHING, HistoryOutcome, run_history
+from benchmarks.fault_histories.history import GAP, HistoryOutcome, run_history
 from tests.support.back_ends import back_end
 from tests.support.levels import further, many_more
 
@@ -35,9 +35,10 @@ def test_so_they_are_where_buses_have_phases(random_seed: int, feeder: str):
     assert outcome.wrong == 0
 
 
-@pytest.mark.parametrize("seed", [*further(3, 10), *many_more(*range(100, 600))])
-def test_so_they_are_where_switches_are_operated(seed: int):
-    outcome = run_history(seed, SWITCHING)
+@pytest.mark.parametrize("phases", ["", *further("ieee13")])
+@pytest.mark.parametrize("seed", [*further(3, 10, 156), *many_more(*range(100, 600))])
+def test_so_they_are_where_switches_are_operated(seed: int, phases: str):
+    outcome = run_history(seed, phases, switching=True)
     assert outcome.gap <= GAP
     assert not math.isnan(outcome.settled_s)
     assert outcome.wrong <= 0.003 * outcome.good
@@ -46,7 +47,7 @@ def test_so_they_are_where_switches_are_operated(seed: int):
 @pytest.mark.long
 def test_a_section_without_supply_costs_no_digits_where_areas_solve_sparse_systems():
     with back_end("sparse"):
-        assert run_history(25, SWITCHING).gap <= GAP
+        assert run_history(25, switching=True).gap <= GAP
 
 
 def test_a_history_repeats_to_the_bit():
@@ -63,7 +64,7 @@ def test_the_command_goes_on_where_its_table_ends_and_sums_up(tmp_path: Path, mo
     with table.open("w", newline="") as file:
         csv.writer(file).writerows([fault_histories.COLUMNS, astuple(an_outcome(0, wrong=1)), (1, 3, 12)])
     ran = []
-    monkeypatch.setattr(fault_histories, "run_history", lambda seed, kind: ran.append(seed) or an_outcome(seed))
+    monkeypatch.setattr(fault_histories, "run_history", lambda seed, **_: ran.append(seed) or an_outcome(seed))
     done = CliRunner().invoke(fault_histories.main, ["--count", "4", "--jobs", "1", "--out", str(table)])
     assert done.exit_code == 0, done.output
     assert ran == [1, 2, 3]
