@@ -45,15 +45,16 @@ class GatewayWatch:
         is_fed: bool = True,
     ) -> None:
         """Counts the evidence of ``scan``, of which an end replaces the end before; ``area``: with its switches as in
-        that end. Evidence by other statuses of switches counts no more, and none counts unless all of the area
-        ``is_fed``: without supply powers are noise.
+        that end. Evidence by other statuses of switches counts no more, and none unless all of the area ``is_fed``:
+        without supply powers are noise, and it was the same by wrong statuses if they were known late.
 
         ``known``: state of the area and information of its neighbours. A gateway counts again when all its powers have
         been measured again: evidence of one reading counts once.
         """
+        if area is not self._area or not is_fed:
+            self._found = self._before = {}
         if area is not self._area:
             self._area, self._test = area, GatewayTest(area)
-            self._found = self._before = {}
         if scan != self._scan:
             self._scan, self._before = scan, self._found
         powers = {m.meter.id for m in readings.measurements if m.meter.kind.of_power}

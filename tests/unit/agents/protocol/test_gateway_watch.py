@@ -41,10 +41,10 @@ def make_watch(ratio: float) -> tuple[GatewayWatch, Any]:
     watch = GatewayWatch(AREA.area)
     watch._test = evidence = Evidence("two", ratio, senders)  # type: ignore[assignment]
 
-    def count(scan: int, time: float | None = None) -> Mapping[str, str]:
+    def count(scan: int, time: float | None = None, *, is_fed: bool = True) -> Mapping[str, str]:
         at = float(scan) if time is None else time
         read = Read(senders, Ages(at, {m.id: at for m in METERS}))
-        watch.weigh(scan, AREA.area, read, None)  # type: ignore[arg-type]
+        watch.weigh(scan, AREA.area, read, None, is_fed=is_fed)  # type: ignore[arg-type]
         return watch.mistaken
 
     return watch, (count, evidence)
@@ -69,6 +69,11 @@ def test_the_last_end_of_a_scan_is_its_evidence():
     evidence.ratio = 0.3 * THRESHOLD  # a neighbour has learnt the status of a switch
     assert [count(1), count(2), count(3)] == [{}, {}, {}]
     assert count(4) == {"two": "sign"}
+
+
+def test_no_evidence_is_left_in_an_area_without_supply():
+    _, (count, _) = make_watch(0.6 * THRESHOLD)
+    assert [count(1), count(2), count(3, is_fed=False), count(4)] == [{}, {"two": "sign"}, {}, {}]
 
 
 def test_a_gateway_that_sends_no_more_is_forgotten():
