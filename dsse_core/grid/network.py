@@ -231,6 +231,18 @@ class Network:
             return tuple(self.node_names[node] for node in nodes)
         return _name_buses(self.node_buses[node] for node in nodes)
 
+    def id_of(self, text: str) -> str:
+        """The id of the branch with this id, or else with this name; ``text`` where there is none.
+
+        Raises:
+            InvalidInputError: several branches have the name.
+        """
+        named = [] if text in self.branch_by_id else [b.id for b in self.branches if b.name.lower() == text.lower()]
+        if len(named) > 1:
+            problem = f"{len(named)} branches are called {text!r}; give the id of one: {listed(named)}"
+            raise InvalidInputError(f"network {self.name!r}", [problem])
+        return named[0] if named else text
+
     def nodes_of(self, branch_id: str) -> list[int]:
         """The rows of the nodes at both ends of a branch, in service or not."""
         branch = self.branch(branch_id)

@@ -71,8 +71,7 @@ def write_imported(
         raise InvalidInputError(f"folder {folder}", problems)
     network = imported.network
     if not isinstance(cut, int):
-        named = {branch.name.lower(): branch.id for branch in network.branches}
-        cut = [name if name in network.branch_by_id else named.get(name.lower(), name) for name in cut]
+        cut = [network.id_of(name) for name in cut]
     _ = cut_into(network, cut) if isinstance(cut, int) else cut_at(network, cut)
     made = [parent for parent in (folder, *folder.parents) if not parent.exists()]
     try:

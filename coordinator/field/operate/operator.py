@@ -17,6 +17,7 @@ from coordinator.watch.observe.attachment import STEP_S, Attachment, attach, wai
 from coordinator.watch.observe.run_address import RunAddress
 from coordinator.watch.observe.watcher import Watcher
 from dsse_core.errors import DsseError, InvalidInputError
+from dsse_core.files.wording import suggest
 from dsse_core.grid.measurement import read_meter_id
 from dsse_core.printable import listed
 from scenarios.files.readings.rows import parse_meter
@@ -149,8 +150,8 @@ class Operator:
         if unknown := [switch for switch in switches if switch not in holders]:
             known = f"switches are {listed(sorted(holders), MOST_NAMED)}" if holders else "there is no switch"
             known += f"; not on the bus: {listed(self.absent, MOST_NAMED)}" if self.absent else ""
-            cure = "a branch becomes one by `switch = true` in the network file and a new split"
-            problems = [f"no area holds a switch {switch!r}; {known}; {cure}" for switch in unknown]
+            known += "; give ids; a branch becomes a switch by `switch = true` in the network file and a new split"
+            problems = [f"no area holds a switch {s!r}{suggest(s, holders)}; {known}" for s in unknown]
             raise InvalidInputError(f"run {self.run}", problems)
         by_area: dict[str, list[str]] = {}
         for switch in switches:

@@ -16,6 +16,7 @@ from dsse_core.estimation.batch import BatchResult, RowFailure, describe_failure
 from dsse_core.estimation.plan import EstimationPlan, build_estimation_plan
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, find_dead
 from dsse_core.files.bounded_file import read_text
+from dsse_core.files.wording import suggest
 from dsse_core.grid.columns import Records, take_items
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.meter_table import find_places, find_virtual, join_meters
@@ -124,16 +125,19 @@ class ScanRows:
 
 
 def operate(scenario: Scenario, opened: Sequence[str], closed: Sequence[str]) -> Scenario:
-    """``scenario`` with switches ``opened`` and ``closed``; readings that it makes are those of that grid.
+    """``scenario`` with switches ``opened`` and ``closed``, by id or name; readings that it makes are of that grid.
 
     Raises:
-        InvalidInputError: naming each id of no switch, and each that is both.
+        InvalidInputError: naming each that is no switch, and each that is both.
     """
-    switches = scenario.network.switches
+    network, switches = scenario.network, scenario.network.switches
+    opened, closed = (list(map(network.id_of, given)) for given in (opened, closed))
+    near = [*switches, *filter(None, (network.branch(switch).name for switch in switches))]
     known = f"switches are {listed(sorted(switches), MOST_SHOWN)}" if switches else "there is none"
     cure = "a branch becomes one by `switch = true` in the network file"
     given = dict.fromkeys([*opened, *closed])
-    problems = [f"there is no switch {switch!r}; {known}; {cure}" for switch in given if switch not in switches]
+    unknown = [switch for switch in given if switch not in switches]
+    problems = [f"there is no switch {switch!r}{suggest(switch, near)}; {known}; {cure}" for switch in unknown]
     problems += [f"switch {switch} is to be open and closed" for switch in sorted({*opened} & {*closed})]
     if problems:
         raise InvalidInputError("--open, --close", problems)

@@ -66,7 +66,10 @@ def _build(path: Path, case: Case, base: float) -> Imported:
         raise InvalidInputError(str(path), error.problems) from None
     open_branches = [branch.id for branch in network.branches if not branch.in_service]
     if open_branches:
-        remarks.append(Remark("note", f"branch {listed(open_branches)} out of service, kept as open branches"))
+        cure = "kept as open branches; write `switch = true` where one may be closed"
+        remarks.append(Remark("note", f"branch {listed(open_branches)}: out of service, {cure}"))
+    if idle := [int(row[GEN_BUS]) for row in case.matrices["gen"] if row[GEN_STATUS] <= 0]:
+        remarks.append(Remark("left out", f"generator at bus {listed(idle)}: out of service"))
     converted = {
         "buses": len(network.buses),
         "branches": len(network.branches),

@@ -176,6 +176,8 @@ class Circuit:
         ids = (branch.id.replace("#", "-") for branch in network.branches)  # as area files have them
         network = replace(network, branches=tuple(map(lambda b, k: replace(b, id=k), network.branches, ids)))
         self.remarks += [*fused, *self._find_remarks()]
+        if switches := [f"{branch.id} is {branch.name}" for branch in network.branches if branch.switch]:
+            self.remarks.append(Remark("note", f"switches have ids: {listed(switches)}"))
         named = Counter(name.partition(".")[0] for name in (*(e["name"] for e in self.elements), *dict.fromkeys(names)))
         converted = {"buses": len(network.buses), "nodes": network.n_nodes}
         converted |= {f"{kind}s": named[kind] for kind in CONVERTED}
@@ -492,7 +494,7 @@ class Circuit:
         for (least, most), names in by_limits.items():
             text = f"beyond {least:g} and {most:g} p.u. it is constant impedance in OpenDSS, here its model holds"
             yield Remark("changed", f"{listed(names)}: {text}")
-        if disabled := [name for name in self.answer["disabled"] if name.partition(".")[0] in CONVERTED]:
+        if disabled := self.answer["disabled"]:
             yield Remark("left out", f"{listed(disabled)}: disabled")
         if cut := [load["name"] for load in self.answer["loads"] if load["model"] == 8 and load["zip"][6] > 0]:
             yield Remark("changed", f"{listed(cut)}: OpenDSS cuts it off below a voltage, here it is not")

@@ -9,7 +9,7 @@ from typing import Any
 from dsse_core.files.bounded_parsing import parse_json
 from dsse_core.printable import listed
 from scenarios.importers.imported import Remark, current_rating, rating
-from scenarios.importers.pandapower.checks import BRANCHES
+from scenarios.importers.pandapower.checks import BRANCHES, COLUMNS
 
 
 def name_rows(net: Any, ppc: Mapping[str, Any]) -> tuple[dict[int, int], dict[int, int]]:
@@ -49,7 +49,7 @@ def describe_element(net: Any, name: str, index: int, base: float) -> dict[str, 
 
 
 def find_left_out(net: Any, bus_of: dict[int, int], converted: Collection[tuple[str, int]]) -> Iterator[Remark]:
-    """Buses without supply with what stands there, and branches that are out of service."""
+    """Buses without supply with what stands there, and elements that are out of service."""
     dark = [int(bus) for bus in net.bus.index if bus not in bus_of]
     if dark:
         load = net.load[net.load.in_service & net.load.bus.isin(dark)]
@@ -58,3 +58,6 @@ def find_left_out(net: Any, bus_of: dict[int, int], converted: Collection[tuple[
     for name in BRANCHES:
         if missing := [int(i) for i in net[name].index if (name, int(i)) not in converted]:
             yield Remark("left out", f"{name} {listed(missing)}: out of service, open at both ends or unsupplied")
+    for name in [name for name in COLUMNS if name not in ("bus", *BRANCHES)]:
+        if idle := net[name].index[~net[name].in_service.astype(bool)].tolist():
+            yield Remark("left out", f"{name} {listed(idle)}: out of service")

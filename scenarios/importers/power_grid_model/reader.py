@@ -201,6 +201,9 @@ def _find_unused(data: Data) -> Iterator[Remark]:
     for name, reason in IGNORED.items():
         if name in data:
             yield Remark("left out", f"{name} {ids(data[name])}: {reason}")
+    for name in (*APPLIANCES, "source", "shunt"):
+        if idle := [a for a in rows(data, name) if not a["status"]]:
+            yield Remark("left out", f"{name} {ids(idle)}: out of service")
     for name in APPLIANCES:
         if unknown := [a for a in rows(data, name) if a["status"] and np.isnan(a["p_specified"]).any()]:
             yield Remark("changed", f"{name} {ids(unknown)}: no power is specified, 0 is written; its sensor counts")

@@ -51,7 +51,7 @@ def test_an_imported_case_is_reported_checked_and_runs(dsse, tmp_path: Path, cas
         "source     MATPOWER case feeder.m",
         "converted  4 buses, 4 branches, 1 generators",
         "left out   bus 5 with 9 MW of load, 0 sources and 0 branches: no closed branch joins them to the substation",
-        "note       branch 4-3 out of service, kept as open branches",
+        "note       branch 4-3: out of service, kept as open branches; write `switch = true` where one may be closed",
         f"next: dsse run {tmp_path / 'new' / 'scenario.toml'}",
     ]
     assert load_scenario(tmp_path / "new" / "scenario.toml", strategies=("information",)).network.name == "town"

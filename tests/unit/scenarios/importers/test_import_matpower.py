@@ -402,7 +402,8 @@ def test_buses_keep_their_names_and_names_that_do_not_count_are_noted(tmp_path: 
         "St. John's east",
     ]
     noted = [remark.text for remark in read(tmp_path, MESHED).remarks if remark.what == "left out"]
-    assert noted == ["mpc.bus_name: 2 names of 5 buses do not tell which name is of which bus"]
+    of_generator = "generator at bus 40: out of service"
+    assert noted == ["mpc.bus_name: 2 names of 5 buses do not tell which name is of which bus", of_generator]
 
 
 @pytest.mark.parametrize(

@@ -128,14 +128,16 @@ def test_the_power_flow_of_all_kinds_of_elements_is_that_of_opendss(tmp_path: Pa
 
 def test_what_was_changed_is_said_and_profiles_stand_beside(tmp_path: Path) -> None:
     switch = "new line.switch phases=1 bus1=652.1 bus2=653.1 switch=y r1=1e-4 x1=0 c1=0 length=1e-3\n"
-    imported = import_grid(write(tmp_path, TOY.replace("new load.m1", f"{switch}new load.m1")))
+    second = "new vsource.second bus1=632 basekv=4.16 enabled=no\n"
+    imported = import_grid(write(tmp_path, TOY.replace("new load.m1", f"{switch}{second}new load.m1")))
     network = imported.network
     remarks = {remark.text.split(":")[0]: remark.what for remark in imported.remarks}
     assert remarks == {
         "energymeter (1)": "left out",
         "line.tie, line.spare": "note",
-        "line.nowhere": "left out",
+        "line.nowhere, vsource.second": "left out",
         "line.switch": "changed",
+        "switches have ids": "note",
         "generator.g, pvsystem.pv": "changed",
         "load.m5": "changed",
         "load.m8": "changed",

@@ -115,6 +115,7 @@ def test_switches_islands_open_ends_and_taps_are_as_in_pandapower_and_reported(t
     net = small_grid()
     net.bus.loc[14, "geo"] = '{"type": "Point", "coordinates": [8.5, 47, 410]}'
     net.bus.loc[13, "geo"] = '{"type": "Point", "coordinates": ["east", 47]}'
+    idle = pp.create_load(net, 14, 1.0, in_service=False)
     grid = imported(tmp_path, net)
     check_power_flow(grid, net)
     assert [(bus.x, bus.y) for bus in map(grid.network.bus, (12, 13, 14))] == [(None, None), (None, None), (8.5, 47.0)]
@@ -125,6 +126,7 @@ def test_switches_islands_open_ends_and_taps_are_as_in_pandapower_and_reported(t
     assert ("changed", "line 6: open at one end, written as the shunt that it is") in reported
     assert ("left out", "bus 30, 31 with 4.5 MW of load: out of service or unsupplied") in reported
     assert ("left out", "line 7, 8: out of service, open at both ends or unsupplied") in reported
+    assert any(what == "left out" and text.startswith("load") and f"{idle}: out" in text for what, text in reported)
 
 
 def test_loads_of_constant_impedance_become_shunts(tmp_path: Path) -> None:

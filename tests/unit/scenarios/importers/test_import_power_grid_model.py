@@ -35,6 +35,7 @@ def test_links_fuse_nodes_open_ends_become_shunts_and_all_is_reported(tmp_path: 
     assert ("fused", "bus 9 into bus 4, joined by links") in reported
     assert ("changed", "branch 33: open at one end, written as the shunt that it is") in reported
     assert ("left out", "branch 34: open at both ends") in reported
+    assert ("left out", "sym_load 64: out of service") in reported
     assert ("note", "bus 10 is new: the inside of the source at bus 1") in reported
     assert any(what == "left out" and text.startswith("bus 8 with 0 MW") for what, text in reported)
     result = solve_power_flow(grid.network)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -66,6 +68,18 @@ def test_a_branch_that_is_no_switch_and_a_switch_of_two_statuses_are_refused_tog
     first, second = refused.value.problems
     assert first.startswith("there is no switch '7-8'; switches are 18-33; ")
     assert second == "switch 18-33 is to be open and closed"
+
+
+def test_a_switch_is_named_by_its_id_or_by_a_name_that_one_branch_alone_has():
+    scenario = tied33(3, (), switches=("7-8", "18-33"))
+    called = {"7-8": "Sw1", "18-33": "twice", "21-8": "twice"}
+    branches = [replace(b, name=called.get(b.id, "")) for b in scenario.network.branches]
+    named = replace(scenario, network=replace(scenario.network, branches=tuple(branches)))
+    assert operate(named, ("sw1",), ()).network.switches == operate(named, ("7-8",), ()).network.switches
+    with pytest.raises(InvalidInputError, match="2 branches are called 'twice'; give the id of one: 21-8, 18-33"):
+        operate(named, ("twice",), ())
+    with pytest.raises(InvalidInputError, match="there is no switch 'sw2'; did you mean 'Sw1'"):
+        operate(named, ("sw2",), ())
 
 
 def test_the_command_names_all_wrong_switches_at_once(capsys: pytest.CaptureFixture[str]):
