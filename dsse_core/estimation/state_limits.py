@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from dsse_core.estimation.residuals import THRESHOLD
 from dsse_core.limits import NotNegative, Positive, Probability
 
@@ -39,6 +41,15 @@ class OperatingLimits:
     """Largest normalised residual of a meter in use."""
     most_unbalance_percent: Positive = 3.0
     """Largest |V-| / |V+| of a three-phase bus; EN 50160 asks for 2, in places 3."""
+
+    def find_worst(self, of: np.ndarray, vm: np.ndarray) -> np.ndarray:
+        """The rows of ``vm`` (n,), nan where not known, one for each bus: of its magnitudes the nearest to a limit, or
+        the farthest beyond. ``of`` (n,): the buses. In order of these; without those that have no known magnitude.
+        """
+        known = np.flatnonzero(~np.isnan(vm))
+        inside = np.minimum(self.highest_vm - vm[known], vm[known] - self.lowest_vm)
+        rows = known[np.lexsort((inside, of[known]))]
+        return rows[np.unique(of[rows], return_index=True)[1]]
 
 
 DEFAULT_OPERATING_LIMITS = OperatingLimits()

@@ -19,13 +19,14 @@ const balanced = { operating_limits: limits, buses: { id: [1, 2] }, branches: { 
 test("without phases a bus is a node and a branch a conductor, whatever its numbers", () => {
   assert.deepEqual(nodesOf(balanced), { bus: [1, 2], phase: ["abc", "abc"] });
   assert.deepEqual(joinNodes(balanced), [[0, 1]]);
-  assert.deepEqual(worstVoltages(balanced, { vm_pu: [1.2, 0.5], fresh: [true, false] }), [{ value: 1.2, phase: "abc" }, { value: null, phase: "abc" }]);
-  assert.deepEqual(worstVoltages(balanced, { id: [2, 1, 2], vm_pu: [0.95, 1, 0.94], fresh: [true, true, true] }).map(({ value }) => value), [1, 0.94]);
+  assert.deepEqual(worstVoltages(balanced, { buses: { vm_pu: [1.2, 0.5], fresh: [true, false] } }), [{ value: 1.2, phase: "abc" }, { value: null, phase: "abc" }]);
+  const shown = worstVoltages(balanced, { buses: { id: [2, 1, 2], vm_pu: [0.95, 1, 0.94], fresh: [true, true, true] }, worst_nodes: [1, 2] });
+  assert.deepEqual(shown.map(({ value }) => value), [1, 0.94]);
 });
 
-test("a bus has the colour of the phase nearest to a limit, low or high, of those that are known", () => {
-  const found = worstVoltages(grid, { vm_pu: [0.97, 1.06, 1, 0.99, null, 0.8, 1.15], fresh: [true, true, true, true, true, false, true] });
-  assert.deepEqual(found, [{ value: 1.06, phase: "b" }, { value: 0.99, phase: "b" }, { value: 1.15, phase: "s2" }]);
+test("a bus has the colour of the phase that the server has chosen", () => {
+  const buses = { vm_pu: [0.97, 1.06, 1, 0.99, null, 0.8, 1.15], fresh: [true, true, true, true, true, false, true] };
+  assert.deepEqual(worstVoltages(grid, { buses, worst_nodes: [0, 3] }), [{ value: 0.97, phase: "a" }, { value: 0.99, phase: "b" }, { value: null, phase: "abc" }]);
 });
 
 test("a branch is as loaded as its phase that is loaded most", () => {

@@ -24,7 +24,6 @@ from coordinator.show.figures.feeder_layout import lay_out
 from coordinator.show.figures.style import GREY, VERMILLION, Drawing
 from dsse_core.estimation.state_limits import OperatingLimits
 from dsse_core.grid.gauge import describe_ungrounded
-from dsse_core.grid.network import Network
 
 COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.15, 0.95, 256)))
 """Even steps of lightness, also for the colour-blind and for grey print; without the ends, which pages would hide."""
@@ -40,7 +39,9 @@ def draw_network(outcome: RunOutcome) -> Drawing:
     partition, network, limits = outcome.scenario.partition, outcome.scenario.network, outcome.scenario.operating_limits
     nodes = network.table.nodes
     is_shown = outcome.buses.fresh & ~network.is_dead
-    vm = find_worst(network, np.where(is_shown, outcome.comparison.decentralised.vm, np.nan), limits)
+    of_nodes, vm = np.where(is_shown, outcome.comparison.decentralised.vm, np.nan), np.full(len(nodes.first), np.nan)
+    worst = limits.find_worst(nodes.item, of_nodes)
+    vm[nodes.item[worst]] = of_nodes[worst]
     dead = np.logical_and.reduceat(network.is_dead, nodes.first)
     layout = lay_out(network)
     known = np.flatnonzero(~np.isnan(vm))
@@ -110,16 +111,6 @@ def draw_network(outcome: RunOutcome) -> Drawing:
     if n_unknown := len(vm) - len(known) - int(dead.sum()):
         caption += f" Grey: {n_unknown} buses without a fresh estimate."
     return Drawing("network", "Voltages in the network", caption, figure)
-
-
-def find_worst(network: Network, vm: np.ndarray, limits: OperatingLimits) -> np.ndarray:
-    """Returns for each bus the magnitude of the phase that is nearest to a limit, or farthest beyond, (n_bus,); nan
-    where no phase is known. ``vm`` (n_nodes,).
-    """
-    middle, first = (limits.lowest_vm + limits.highest_vm) / 2, network.table.nodes.first
-    low, high = np.fmin.reduceat(vm, first), np.fmax.reduceat(vm, first)
-    worst: np.ndarray = np.where(middle - low >= high - middle, low, high)
-    return worst
 
 
 def _find_scale(vm: np.ndarray, limits: OperatingLimits) -> Normalize:

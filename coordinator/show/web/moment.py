@@ -26,6 +26,7 @@ from coordinator.watch.observe.summary import summarise
 from coordinator.watch.observe.view import AreaView, View
 from coordinator.watch.observe.view_json import describe_causes, describe_summary, describe_view
 from coordinator.watch.observe.watcher import Watcher
+from dsse_core.estimation.state_limits import DEFAULT_OPERATING_LIMITS
 from dsse_core.results.table import Table
 
 MOST_EVENTS = 200
@@ -148,12 +149,13 @@ class Moments:
         self._note(at, view, links, lambda: tables)
         self.tables, summary = tables, summarise(tables, self.known)
         causes = find_causes(view, at, summary)
+        limits = self.known.scenario.operating_limits if self.known else DEFAULT_OPERATING_LIMITS
         return {
             "causes": describe_causes(self.onsets.date(causes, at) if self.onsets else causes),
             "at": at,
             "view": describe_view(view),
             "summary": describe_summary(summary),
-            **draw_tables(tables, has_grid=self.known is not None),
+            **draw_tables(tables, limits, has_grid=self.known is not None),
             "links": links,
             "events": list(self.events.kept),
             "scan_s": self.events.scan_s,

@@ -149,7 +149,8 @@ class Moment(TypedDict):
 
     ``buses``, ``branches``: a row for each in the order of the grid, with phases for each of its nodes and conductors;
     without a scenario with the ``id`` of each, and its ``phase``. ``fresh`` of a row: its numbers are of the present;
-    quality and ``value_age_s`` are those of its area. Only fresh numbers count in ``summary``.
+    quality and ``value_age_s`` are those of its area. Only fresh numbers count in ``summary``. ``worst_nodes``: where
+    a bus has several rows, of each bus the row whose fresh voltage is nearest to a limit, or farthest beyond.
     """
 
     causes: NotRequired[list[RootCause]]
@@ -161,6 +162,7 @@ class Moment(TypedDict):
     view: NotRequired[dict[str, Any]]
     summary: NotRequired[Summary]
     buses: NotRequired[Columns]
+    worst_nodes: NotRequired[list[int]]
     branches: NotRequired[Columns]
     meters: NotRequired[Columns]
     meter_counts: NotRequired[dict[str, int]]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from coordinator.watch.observe.grid_tables import Columns, Tables, order_worst_first, pick_rows
+from dsse_core.estimation.state_limits import OperatingLimits
 from dsse_core.results.table import ALL_PHASES, Table
 
 MOST_METERS = 100  # the worst meters, sent with every moment
@@ -23,9 +24,10 @@ DRAWN_OF_BUS, DRAWN_OF_BRANCH = {"vm_pu": 5, "sigma_vm_pu": 6}, {"loading_percen
 WORDS = ("meter", "area", "status", "unit", "phase", "quality", "fresh", "injection_problem", "grounded")
 
 
-def draw_tables(tables: Tables, *, has_grid: bool) -> dict[str, Any]:
+def draw_tables(tables: Tables, limits: OperatingLimits, *, has_grid: bool) -> dict[str, Any]:
     """The tables sent with a moment: columns in the order of the grid, or with the ``id`` of each bus, and its
-    ``phase`` where there are some, without a grid; columns without any value are left out.
+    ``phase`` where there are some, without a grid; columns without any value are left out. Where a bus has several
+    rows, ``worst_nodes`` are those with the voltages by which buses are judged, see ``OperatingLimits.find_worst``.
 
     A voltage to ground without a path to ground is not known, and there is none without supply.
     """
@@ -36,7 +38,10 @@ def draw_tables(tables: Tables, *, has_grid: bool) -> dict[str, Any]:
         drawn["vm_pu"] = np.where(drawn["grounded"], drawn["vm_pu"], np.nan)
     if not has_grid:
         place = {"id": buses.bus.tolist()} | ({"phase": buses.phase} if _has_phases(buses) else {})
+    of, fresh = np.array(buses.bus), np.where(drawn["fresh"], drawn["vm_pu"], np.nan)
+    chosen = {"worst_nodes": limits.find_worst(of, fresh).tolist()} if len(np.unique(of)) < len(of) else {}
     return {
+        **chosen,
         "buses": _draw(drawn, DRAWN_OF_BUS) | place,
         "branches": {} if branches is None else _draw(branches, DRAWN_OF_BRANCH),
         "meters": _describe(pick_rows(meters, worst), METER),

@@ -22,7 +22,7 @@ from coordinator.lab.evaluation.result import RunResult
 from coordinator.lab.simulator.simulate import Simulation, simulate_scenario
 from coordinator.lab.simulator.subscriber import Subscriber
 from coordinator.show.figures.errors_figure import draw_errors
-from coordinator.show.figures.network_figure import draw_network, find_worst
+from coordinator.show.figures.network_figure import draw_network
 from coordinator.show.figures.profile_figures import draw_angles, draw_magnitudes, find_profile
 from coordinator.show.figures.residuals_figure import draw_residuals
 from coordinator.show.figures.style import Drawing, styled
@@ -163,7 +163,7 @@ def test_the_map_shows_the_worst_phase_and_the_phases_of_lines(run: RunResult):
     network, vm = SCENARIO.network, run.comparison.decentralised.vm
     for limits, choose in ((high, max), (OperatingLimits(lowest_vm=1.0, highest_vm=1.5), min)):
         worst = [choose(vm[network.nodes_at(bus.id)]) for bus in network.buses]
-        assert find_worst(network, vm, limits).tolist() == worst
+        assert vm[limits.find_worst(network.table.nodes.item, vm)].tolist() == worst
     with styled():
         axis = draw_network(run).figure.axes[0]
     written = Counter(text.get_text() for text in axis.texts)
@@ -237,8 +237,9 @@ def test_voltages_to_ground_are_not_judged_in_parts_without_ground():
     }
     tables = Tables(buses, None, nothing)
     assert summarise(tables, None).voltage.total == buses.grounded.sum() < len(buses)
-    drawn = draw_tables(tables, has_grid=True)["buses"]["vm_pu"]
-    assert np.isnan(drawn).tolist() == (~buses.grounded).tolist()
+    content = draw_tables(tables, OperatingLimits(), has_grid=True)
+    assert np.isnan(content["buses"]["vm_pu"]).tolist() == (~buses.grounded).tolist()
+    assert buses.grounded[content["worst_nodes"]].all()
     names = ", ".join(map(str, network.gauge.ungrounded))
     remark = describe_ungrounded(network.gauge.ungrounded)
     assert f"Bus {names} have no path to ground" in remark

@@ -46,7 +46,7 @@ function mayZoom(event) {
 function pickPainted(moment, grid) {
   return {
     qualities: Object.fromEntries(Object.entries(moment.view.areas).map(([name, area]) => [name, area.quality])),
-    worst: worstVoltages(grid, moment.buses),
+    worst: worstVoltages(grid, moment),
     loading: largestLoadings(grid, moment.branches),
     freshBranches: freshBranches(grid, moment.branches),
     switches: Object.assign({}, ...Object.values(moment.view.areas).map((area) => area.switches)),

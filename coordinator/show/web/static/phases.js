@@ -34,32 +34,30 @@ export function nameOf(id, phase) {
   return phase === ALL ? id : `${id}.${phase}`;
 }
 
-/**
- * Of each bus the voltage that is nearest to a limit, or farthest beyond it.
- * @param {Grid} grid @param {Columns} buses of a moment @returns {Chosen[]} in the order of the grid
- */
-export function worstVoltages(grid, buses) {
-  const { lowest_vm_pu: low, highest_vm_pu: high } = grid.operating_limits, nodes = nodesOf(grid);
-  return pickEach(grid.buses.id, buses.id ?? nodes.bus, buses.phase ?? nodes.phase, buses.fresh, buses.vm_pu, (vm) => Math.max(vm - high, low - vm));
+/** @param {Grid} grid @param {Pick<Moment, "buses"|"worst_nodes">} moment @returns {Chosen[]} of each bus the voltage by which it is judged, in the order of the grid */
+export function worstVoltages(grid, { buses, worst_nodes }) {
+  const nodes = nodesOf(grid), worst = new Set(worst_nodes);
+  const shown = worst_nodes ? buses.fresh.map((_, k) => worst.has(k)) : buses.fresh;
+  return pickEach(grid.buses.id, buses.id ?? nodes.bus, buses.phase ?? nodes.phase, shown, buses.vm_pu);
 }
 
 /** @param {Grid} grid @param {Columns} branches of a moment @returns {Chosen[]} of each branch the largest loading, in the order of the grid */
 export function largestLoadings(grid, branches) {
   const { branch, phase } = conductorsOf(grid);
-  return pickEach(grid.branches.id, branch, phase, branches.fresh, branches.loading_percent, (percent) => percent);
+  return pickEach(grid.branches.id, branch, phase, branches.fresh, branches.loading_percent);
 }
 
 /**
- * Of each of `ids` the fresh value of the largest `measure`.
+ * Of each of `ids` the largest fresh value.
  * @param {(number|string)[]} ids @param {unknown[]} of the id of each row @param {unknown[]} phase @param {unknown[] | undefined} fresh @param {unknown[] | undefined} values
- * @param {(value: number) => number} measure @returns {Chosen[]}
+ * @returns {Chosen[]}
  */
-function pickEach(ids, of, phase, fresh, values, measure) {
+function pickEach(ids, of, phase, fresh, values) {
   /** @type {Map<unknown, Chosen>} */ const found = new Map(ids.map((id) => [id, { value: null, phase: ALL }]));
   of.forEach((id, k) => {
     const value = values?.[k], best = found.get(id);
     if (!best || !fresh?.[k] || typeof value !== "number") return;
-    if (best.value === null || measure(value) > measure(best.value)) [best.value, best.phase] = [value, String(phase[k] ?? ALL)];
+    if (best.value === null || value > best.value) [best.value, best.phase] = [value, String(phase[k] ?? ALL)];
   });
   return ids.map((id) => /** @type {Chosen} */ (found.get(id)));
 }

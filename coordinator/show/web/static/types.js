@@ -25,7 +25,7 @@
  * @typedef {{from: string, to: string, kind: string, sent: number, arrived: number|null, lost: boolean}} Message
  * @typedef {{number: number, grid_version: string, mode: string, time: number, at: number,
  *   view: {run: string, others: string[], duplicates: string[], other_versions: string[], strangers: number,
- *   areas: Record<string, AreaView>}, buses: Columns, branches: Columns, meters: Columns, meter_counts: Record<string, number>,
+ *   areas: Record<string, AreaView>}, buses: Columns, worst_nodes?: number[], branches: Columns, meters: Columns, meter_counts: Record<string, number>,
  *   links: {from: string, to: string, age_s: number|null, alive: boolean}[],
  *   causes: Cause[], summary: Summary, scan_s: number|null, events: Event[], messages: Message[], has_messages: boolean}} Moment
  * @typedef {{total: number, rows: Columns}} Rows of `/api/rows`

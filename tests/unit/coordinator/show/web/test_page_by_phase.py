@@ -49,6 +49,14 @@ def test_a_moment_has_numbers_in_the_order_of_nodes_and_conductors(asked: Client
     assert (now["summary"]["voltage"]["total"], now["summary"]["unbalance"]["total"]) == (len(NAMES), len(three))
 
 
+def test_a_moment_names_of_each_bus_the_node_that_is_nearest_to_a_limit(asked: Client):
+    grid, now = asked.get("/api/grid").json(), asked.get("/api/now").json()
+    bus, limits = np.array(grid["nodes"]["bus"]), grid["operating_limits"]
+    off = abs(np.array(now["buses"]["vm_pu"]) - (limits["lowest_vm_pu"] + limits["highest_vm_pu"]) / 2)
+    assert sorted(bus[now["worst_nodes"]].tolist()) == sorted(grid["buses"]["id"])
+    assert all(off[row] == max(off[bus == bus[row]]) for row in now["worst_nodes"])
+
+
 def test_rows_have_kv_to_ground_unbalance_and_the_current_in_the_neutral(asked: Client):
     rows = asked.get("/api/rows?kind=bus&id=671").json()["rows"]
     assert rows["phase"] == ["a", "b", "c"]
