@@ -75,6 +75,8 @@ def main(
     """
     if phases == "3":
         of_phases = compare_phases(sizes or SIZES_OF_PHASES, _report)
+        if figures:
+            write_section(figures, describe_machine((PEER, *ENVIRONMENT)), format_phases(of_phases))
         click.echo(format_phases(of_phases))
         if missed := find_missed(of_phases):
             raise click.ClickException("; ".join(missed))

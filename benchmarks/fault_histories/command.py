@@ -103,7 +103,7 @@ def summarise(outcomes: Sequence[HistoryOutcome]) -> dict[str, str]:
         f"in the end at the fixed point (gap <= {GAP:g})": (
             f"{len(outcomes) - len(lost)}, largest gap {max(o.gap for o in outcomes):.2g}"
         ),
-        "states": f"{states}, marked good {good}; of these beyond three sigma {wrong} = {share:.3g} %",
+        "states": f"{states}, marked good {good}, of these beyond three sigma {wrong} = {share:.3g} %",
         "largest distance of a good state": f"{max(o.worst for o in outcomes):.3g} sigma",
     }
     if settled:

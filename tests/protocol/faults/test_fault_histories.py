@@ -70,7 +70,7 @@ def test_the_command_goes_on_where_its_table_ends_and_sums_up(tmp_path: Path, mo
     assert ran == [1, 2, 3]
     assert "histories: 4 of" in done.output
     assert "(gap <= 1e-08): 4, largest gap 1e-12" in done.output
-    assert "marked good 40; of these beyond three sigma 1 = 2.5 %" in done.output
+    assert "marked good 40, of these beyond three sigma 1 = 2.5 %" in done.output
 
 
 def test_a_history_that_does_not_end_at_the_fixed_point_is_named():
