@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from coordinator.show.figures.feeder_layout import Layout
 from coordinator.show.figures.labels import label_points
-from coordinator.show.figures.style import GREY, INK, PAPER, fix_layout
+from coordinator.show.figures.style import GREY, INK, PAPER, VERMILLION, fix_layout
 from dsse_core.grid.network import Branch, Network
 from dsse_core.grid.partition import Partition
 
@@ -108,19 +108,30 @@ def mark_boundaries(axes: Axes, partition: Partition, layout: Layout, fill: str 
     _mark(axes, layout, [network.row[network.slack.bus]], "substation", "s", INK)
 
 
-def mark_switches(axes: Axes, network: Network, layout: Layout) -> None:
-    """Draw switches as squares in the middle of their branches: filled if closed; open ones with a thin dashed line."""
-    for is_closed, label in ((True, "closed switch"), (False, "open switch")):
-        switches = [network.branch(s) for s, closed in network.switches.items() if closed == is_closed]
-        corners = [find_corners(network, layout, branch) for branch in switches]
+def mark_switches(axes: Axes, network: Network, layout: Layout, in_doubt: Collection[str] = ()) -> None:
+    """Draw switches as squares in the middle of their branches: filled if closed; open ones with a thin dashed line;
+    those whose status is ``in_doubt`` in a frame.
+    """
+    closed = {switch for switch, is_closed in network.switches.items() if is_closed}
+    opened, doubted = network.switches.keys() - closed, network.switches.keys() & {*in_doubt}
+    frame: dict[str, Any] = {
+        "markersize": 9,
+        "markeredgewidth": 2,
+        "markerfacecolor": "none",
+        "markeredgecolor": VERMILLION,
+    }
+    for switches, label, style in (
+        (closed, "closed switch", {"markersize": 4, "markerfacecolor": INK, "markeredgecolor": INK}),
+        (opened, "open switch", {"markersize": 4, "markerfacecolor": PAPER, "markeredgecolor": INK}),
+        (doubted, "status in doubt", frame),
+    ):
+        corners = [find_corners(network, layout, network.branch(switch)) for switch in sorted(switches)]
         if not corners:
             continue
-        if not is_closed:
-            for line in corners:
-                axes.plot(*line.T, color=INK, linewidth=0.8, linestyle="dashed", zorder=1)
+        for line in corners if switches is opened else ():
+            axes.plot(*line.T, color=INK, linewidth=0.8, linestyle="dashed", zorder=1)
         middles = np.array([(line[-2] + line[-1]) / 2 for line in corners])
-        style: dict[str, Any] = {"markerfacecolor": INK if is_closed else PAPER, "markeredgecolor": INK}
-        axes.plot(*middles.T, linestyle="none", marker="s", markersize=4, label=label, zorder=5, **style)
+        axes.plot(*middles.T, linestyle="none", marker="s", label=label, zorder=5, **style)
 
 
 def _mark(axes: Axes, layout: Layout, rows: list[int], label: str, marker: str, fill: str) -> None:

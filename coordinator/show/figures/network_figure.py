@@ -22,6 +22,7 @@ from coordinator.show.figures.diagram import (
 )
 from coordinator.show.figures.feeder_layout import lay_out
 from coordinator.show.figures.style import GREY, VERMILLION, Drawing
+from coordinator.watch.observe.causes import OF_STATUS
 from dsse_core.estimation.state_limits import OperatingLimits
 from dsse_core.grid.gauge import describe_ungrounded
 
@@ -79,7 +80,8 @@ def draw_network(outcome: RunOutcome) -> Drawing:
         x, y = layout.place[outside].T
         edges: dict[str, Any] = {"facecolors": "none", "edgecolors": VERMILLION, "label": "beyond the limits"}
         axes.scatter(x, y, s=4 * size, marker="^", zorder=4, **edges)
-    mark_switches(axes, network, layout)
+    in_doubt = {branch for cause in outcome.causes if cause.kind in OF_STATUS for branch in cause.branches}
+    mark_switches(axes, network, layout, in_doubt)
     if dead.any():
         axes.plot([], [], color=GREY, linestyle="dotted", linewidth=2.5, label="without supply")
     axes.autoscale_view()

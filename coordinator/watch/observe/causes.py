@@ -180,6 +180,18 @@ WORDS = {
         WARNING,
         "unreadable",
     ),
+    "wrong status": Words(
+        "switch {switch} is not as its status says: the readings contradict it",
+        "look at the switch, and correct its status (`dsse switch`)",
+        WARNING,
+        "{switch}: wrong status",
+    ),
+    "unknown status": Words(
+        "the status of switch {switch} is unknown: {told}",
+        "look at the switch, and at what reads it",
+        WARNING,
+        "{switch}: unknown status",
+    ),
     "undecided": Words(
         "one of {meters} in {area} reads wrong", "check which; {meter} is left out", WARNING, "doubtful meter"
     ),
@@ -200,6 +212,8 @@ REMARKS = {
     "grid": "The grid itself is beyond a limit.",
     "data": "The grid itself may be sound: the fault is in the data on it.",
 }
+OF_STATUS = ("wrong status", "unknown status")
+"""Kinds that are about a switch, their one branch."""
 SEEN = {"grid": ", seen since", "data": " since"}  # the grid may have been beyond a limit before anybody has looked
 HARMLESS = (*OF_GRID, "undecided", "bad data", "unreadable", "impostor")
 """Kinds that leave the quality of states as it is: no state is worse because of them."""
@@ -534,10 +548,11 @@ class _Findings:
         seen = set[tuple[str, ...]]()
         for area, noted in self.noted(
             "impostor", "not observable", "no estimate", "contradictory", "many removed", "overdue", "mistimed", "band",
-            "unreadable", "undecided",
+            "unreadable", "undecided", "wrong status", "unknown status",
         ):  # fmt: skip
-            is_shared = noted.kind in ("not observable", "contradictory", "impostor")
-            about = (noted.kind, noted.parts.get("other", "")) if is_shared else (noted.kind, area.name)
+            is_shared = noted.kind in ("not observable", "contradictory", "impostor", "wrong status")
+            about = (noted.kind, *(noted.parts.get(name, "") for name in ("other", "switch")))
+            about = about if is_shared else (*about, area.name)
             if about in seen:
                 continue
             seen.add(about)
@@ -552,8 +567,10 @@ class _Findings:
             if noted.kind == "undecided":
                 meters += noted.parts["others"].split(", ")
                 parts["meters"] = _describe_meters(meters)
-            areas = (area.name,) if noted.kind != "contradictory" else ()
-            yield self.make(noted.kind, parts, noted.since, areas=areas, **_find_places(meters, buses))
+            areas = (area.name,) if noted.kind not in ("contradictory", "wrong status") else ()
+            places = _find_places(meters, buses)
+            places["branches"] += tuple(noted.parts[name] for name in ("switch",) if name in noted.parts)
+            yield self.make(noted.kind, parts, noted.since, areas=areas, **places)
         for area in self.there.values():
             doubted = {noted.parts["meter"] for noted in area.noted if noted.kind == "undecided"}
             removed = [n for n in area.noted if n.kind == BAD_DATA and n.parts["meter"] not in doubted]

@@ -30,6 +30,8 @@ PATTERNS = {
     "no estimate": r"no estimate: (?P<why>.*)",
     "contradictory": r"(?:readings contradict each other|the iteration has not converged|bad data are looked for no "
     r"longer) \(.*\)(?:; (?P<meter>\S+) stands out)?.*",
+    "wrong status": r"switch@(?P<switch>\S+) counts the other way, .*",
+    "unknown status": r"status of switch (?P<switch>\S+) unknown: (?P<told>.*); it stays as it was",
     "undecided": r"(?P<meter>\S+) is removed, and the readings do not tell it from (?P<others>.*): check .*",
     "many removed": r"(?P<count>\d+ of \d+) meters are removed, more than .*",
     "band": r"voltages of \d+ (?:buses|nodes) are outside (?P<band>.*), the farthest is (?P<vm>\S+) "
@@ -54,7 +56,7 @@ class Noted:
     @property
     def about(self) -> tuple[str, ...]:
         """The kind and the names, which stay while figures change."""
-        return (self.kind, *(self.parts.get(name, "") for name in ("other", "meter", "fault")))
+        return (self.kind, *(self.parts.get(name, "") for name in ("other", "meter", "fault", "switch")))
 
 
 def read_notes(

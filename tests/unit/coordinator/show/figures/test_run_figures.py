@@ -25,11 +25,13 @@ from coordinator.show.figures.profile_figures import draw_angles, draw_magnitude
 from coordinator.show.figures.residuals_figure import draw_residuals
 from coordinator.show.figures.run_figures import draw_run
 from coordinator.show.figures.style import COLOURS, INK, PAPER, Drawing
+from coordinator.watch.observe.causes import WARNING, Cause
 from dsse_core.estimation.state_limits import OperatingLimits
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.results.meters import read_in_own_units
 from scenarios.scenario import load_scenario
 from tests.support.made_results import AT_S, GAPS, SCAN_AT_S, make_result
+from tests.support.rings import tied33
 
 pytestmark = pytest.mark.slow  # drawing takes seconds
 
@@ -259,3 +261,17 @@ def test_figures_differ_by_name_and_each_says_what_it_shows(result: RunResult) -
     assert [each.name for each in drawings] == ["gap", "errors", "magnitudes", "angles", "residuals", "network"]
     assert all(len(each.caption) > 40 for each in drawings)
     assert not any(isinstance(text, Text) and "$" in text.get_text() for each in drawings for text in each.figure.texts)
+
+
+def test_the_network_shows_which_switches_are_open_or_closed_and_which_status_is_in_doubt(result: RunResult):
+    network = result.scenario.network
+    marked = ("2-3", "18-33", "25-29")
+    branches = tuple(replace(branch, switch=branch.id in marked) for branch in tied33(3, ()).network.branches)
+    scenario = replace(result.scenario, network=replace(network, branches=branches))
+    cause = Cause("wrong status", "", "", WARNING, branches=("18-33",))
+    axis = axes_of(draw_network(replace(result, scenario=scenario, causes=(cause,))))[0]
+    closed, opened, doubted = (line(axis, name) for name in ("closed switch", "open switch", "status in doubt"))
+    assert (len(closed.get_xydata()), len(opened.get_xydata())) == (1, 2)
+    assert doubted.get_xydata().tolist()[0] in opened.get_xydata().tolist()
+    sound = axes_of(draw_network(replace(result, scenario=scenario)))[0]
+    assert [each.get_label() for each in sound.lines if each.get_label() == "status in doubt"] == []

@@ -270,6 +270,24 @@ def test_every_note_that_names_a_cause_is_read():
         assert (noted.kind, noted.parts["other"]) == (kind, "plant" if kind == "map" else "area2")
 
 
+@pytest.mark.parametrize(("kind", "n_cause"), [("wrong status", 1), ("unknown status", 2)])
+def test_a_switch_of_wrong_or_unknown_status_is_named_and_has_its_branch_as_its_place(kind: str, n_cause: int):
+    found = {
+        "wrong status": quality.find_doubtful_switches(("18-33",), {}),
+        "unknown status": quality.find_unknown_statuses({"18-33": "gateway a reads open, gateway b reads closed"}),
+    }
+    (finding,) = found[kind]
+    watcher = Watcher("run")
+    for name in ("area1", "area2"):
+        state = published_by(name, Incarnation(1, 1), notes=(finding.note,), quality=finding.quality)
+        watcher.take_presence(f"dsse/v3/run/live/area/{name}/1-00000001", True)
+        watcher.take_state(state, 0.0)
+    causes = find_causes(watcher.look(0.0), 0.0)
+    assert [(cause.kind, cause.branches) for cause in causes] == [(kind, ("18-33",))] * n_cause
+    assert causes[0].mark == f"18-33: {kind}"
+    assert causes[0].effects != ()
+
+
 WORD = st.text(max_size=12) | st.sampled_from(["area1", "area2", "this area", "telemetry", "nan", "1e999", "-1", "{x}"])
 FORGED = [
     "boundary mismatch with {0} at bus 6: its final voltage differs by {1} p.u. and {2} deg; {1}",
@@ -287,6 +305,8 @@ FORGED = [
     "{0} is removed, and the readings do not tell it from {1}: check {2}",
     "voltages of 3 buses are outside {0}, the farthest is {1} p.u. at bus {2}",
     "payloads of {0} are rejected, {1}",
+    "switch@{0} counts the other way, {1}",
+    "status of switch {0} unknown: {1}; it stays as it was",
 ]
 NOTE = st.builds(lambda form, *words: form.format(*words), st.sampled_from(FORGED), WORD, WORD, WORD)
 
