@@ -11,10 +11,11 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.grid.gauge import PIN, project_charging
+from dsse_core.grid.gauge import NEGLIGIBLE, PIN, project_charging
 from dsse_core.grid.network import Network
 from dsse_core.grid.network_table import NetworkTable
 from dsse_core.grid.nodes import PHASE_ANGLE
+from dsse_core.printable import listed
 
 GROUNDED = 1e-13  # share of a node's admittance, below ten times of which a pivot is rounding: without path to ground
 
@@ -93,10 +94,12 @@ def _find_ungrounded_ports(
 
 def _find_pins(network: Network, with_shunts: bool) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Entries, rows and columns of the gauge's own shunts."""
+    shares = {(bus, phase): complex(*parts) for bus, phase, *parts in network.gauge.shares}
     for bus in network.gauge.pinned:
         at = network.live_nodes_at(bus)
         if len(at) and (not with_shunts or bus in network.gauge.ungrounded):
-            yield np.full(len(at) ** 2, PIN / len(at) ** 2), np.repeat(at, len(at)), np.tile(at, len(at))
+            of_phases = [shares.get(network.nodes[node], 1 / len(at)) for node in at.tolist()]
+            yield np.tile(of_phases, len(at)) * (PIN / len(at)), np.repeat(at, len(at)), np.tile(at, len(at))
 
 
 def find_two_ports(
@@ -167,7 +170,8 @@ def _find_idle(network: Network, reference: int, vm: float, va: float) -> tuple[
     """vm and va of the nodes where no current flows; nodes out of reach have those of the source.
 
     Raises:
-        InvalidInputError: phases that nothing joins to the source or to ground, as behind a delta winding.
+        InvalidInputError: phases that nothing joins to the source or to ground, as behind a delta winding, or that
+            shunts hold at a voltage of 0, where an angle means nothing.
     """
     table, ybus = network.table, build_admittance(network, with_shunts=False).ybus
     source = vm * np.exp(1j * (va + PHASE_ANGLE[table.nodes.phase]))
@@ -187,6 +191,11 @@ def _find_idle(network: Network, reference: int, vm: float, va: float) -> tuple[
             problem = f"nothing joins phases of bus {names} to the source or to ground; {cure}"
             raise InvalidInputError(f"network {network.name!r}", [problem])
         source[free] = lu.solve(-(ybus[free][:, given] @ source[given]))
+        if (dark := free[abs(source[free]) < NEGLIGIBLE]).size:
+            names = listed([network.node_names[node] for node in dark.tolist()])
+            cure = "give their other phases shunts to ground, too, or none of them"
+            problem = f"shunts to ground hold {names} at a voltage of 0, which has no angle; {cure}"
+            raise InvalidInputError(f"network {network.name!r}", [problem])
     return abs(source), np.angle(source)
 
 

@@ -3,7 +3,8 @@
 A part is a set of buses whose common voltage, one for all conductors, draws no current: lines carry it on, banks with a
 grounded winding end it. A shunt y 11'/n^2 at one of its buses makes the mean of the n voltages there 0. It carries no
 current, since the currents of such a part add up to 0. Where line charging and bus shunts alone join a part to ground,
-weakly, their share of the zero sequence is left out. There only voltages between phases mean anything.
+weakly, their share of the zero sequence is left out. There only voltages between phases mean anything. Where they join
+it to ground firmly, the shunt stands in for them in the unloaded network, and draws nothing where they draw nothing.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dsse_core.grid.network_table import NetworkTable
-from dsse_core.grid.nodes import list_phases
+from dsse_core.grid.nodes import PHASES, list_phases
 from dsse_core.printable import listed
 
 NEGLIGIBLE = 1e-4  # relative: a smaller draw to ground is no ground, a smaller difference of voltages none
@@ -26,16 +27,19 @@ class Gauge:
     """Buses, by ids. ``ungrounded``: their voltages to ground are by the gauge, those between phases by physics.
 
     ``pinned``: buses with the shunt, one of each part. Those that are not ungrounded have a ground by charging and
-    bus shunts only, and the shunt stands in for it where these are left out.
+    bus shunts only, and the shunt stands in for it where these are left out. ``shares``: bus, phase, and real and
+    imaginary part of the phase's share in their admittance to ground, by which the shunt weighs its voltage there.
     """
 
     ungrounded: tuple[int, ...] = ()
     pinned: tuple[int, ...] = ()
+    shares: tuple[tuple[int, str, float, float], ...] = ()
 
     def within(self, buses: np.ndarray, owned: np.ndarray) -> Gauge:
         """The gauge of a part of the network with ``buses``, of which it holds the shunts of those ``owned``."""
         there, own = set(buses.tolist()), set(owned.tolist())
-        return Gauge(tuple(b for b in self.ungrounded if b in there), tuple(b for b in self.pinned if b in own))
+        ungrounded, pinned = (b for b in self.ungrounded if b in there), (b for b in self.pinned if b in own)
+        return Gauge(tuple(ungrounded), tuple(pinned), tuple(share for share in self.shares if share[0] in own))
 
 
 def describe_ungrounded(buses: Sequence[int]) -> str:
@@ -63,13 +67,15 @@ def find_gauge(table: NetworkTable, source: int | None) -> Gauge:
     if source is None or table.nodes.is_balanced:
         return Gauge()
     links = _find_links(table)
-    ungrounded, pinned, ids = [], [], table.bus_id.tolist()
+    ungrounded, pinned, shares, ids = [], [], list[tuple[int, str, float, float]](), table.bus_id.tolist()
     for common in _find_parts(len(ids), links, source):
         rows = sorted(common)
-        is_weak = _is_weakly_grounded(table, common)
-        ungrounded += [ids[row] for row in rows if is_weak]
         pinned.append(ids[max(rows, key=lambda row: (int(table.phases[row]).bit_count(), -row))])
-    return Gauge(tuple(sorted(ungrounded, key=ids.index)), tuple(pinned))
+        draws = _find_draws(table, common)
+        total = sum(map(abs, draws.values()))
+        shares += [(pinned[-1], phase, (y / total).real, (y / total).imag) for phase, y in draws.items()]
+        ungrounded += [] if draws else [ids[row] for row in rows]
+    return Gauge(tuple(sorted(ungrounded, key=ids.index)), tuple(pinned), tuple(shares))
 
 
 def project_charging(charging: np.ndarray, ungrounded: Iterable[np.ndarray]) -> np.ndarray:
@@ -138,8 +144,8 @@ def _find_parts(n_bus: int, links: _Links, source: int) -> Iterator[dict[int, fl
             yield common
 
 
-def _is_weakly_grounded(table: NetworkTable, common: dict[int, float]) -> bool:
-    """True where charging and bus shunts draw next to nothing at the ``common`` voltage of a part."""
+def _find_draws(table: NetworkTable, common: dict[int, float]) -> dict[str, complex]:
+    """Phase -> what charging and bus shunts draw at the ``common`` voltage of a part; none if next to nothing."""
     of_bus = np.zeros(len(table.bus_id))
     of_bus[list(common)] = list(common.values())
     v = of_bus[table.nodes.item]
@@ -151,5 +157,8 @@ def _is_weakly_grounded(table: NetworkTable, common: dict[int, float]) -> bool:
         node = table.port_node[np.concatenate([table.ports.at(end) for end in ends])]
         np.add.at(to_ground, node, p.charging @ v[node])
         np.add.at(size, node, abs(p.y).sum(axis=1))
-    within = v != 0
-    return bool(abs(to_ground[within]).max() < NEGLIGIBLE * size[within].max())
+    within, phase = v != 0, table.nodes.phase
+    if abs(to_ground[within]).max() < NEGLIGIBLE * size[within].max():
+        return {}
+    drawn = v * to_ground
+    return {PHASES[k]: complex(drawn[phase == k].sum()) for k in np.unique(phase[within]).tolist()}

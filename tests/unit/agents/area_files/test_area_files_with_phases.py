@@ -85,11 +85,12 @@ def test_an_area_of_a_network_file_is_read_back_too(tmp_path: Path, suffix: str)
 @pytest.mark.parametrize("suffix", [".toml", ".json"])
 def test_the_gauge_of_a_part_without_ground_is_read_back_and_names_buses_of_the_area(tmp_path: Path, suffix: str):
     content = split(AREAS)["east"]
-    network = replace(content.area.network, gauge_of_whole=Gauge((692, 675), (692,)))
+    gauge = Gauge((692, 675), (692,), ((692, "a", 0.25, -0.5), (692, "b", 0.0, 0.5)))
+    network = replace(content.area.network, gauge_of_whole=gauge)
     area = replace(content.area, network=network)  # without meters: those of voltages to ground would mean nothing
     path, content = tmp_path / f"area{suffix}", replace(content, area=area, meters=())
     save_area_file(path, content)
-    assert load_area_file(path).area.network.gauge == Gauge((692, 675), (692,))
+    assert load_area_file(path).area.network.gauge == gauge
     if suffix == ".json":
         problems = spoil(path, content, lambda table: table["network"]["gauge"]["pinned"].append(7))
         assert problems == ("network: the gauge names bus 7, which is not defined",)

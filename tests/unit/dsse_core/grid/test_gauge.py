@@ -83,7 +83,11 @@ def test_weak_charging_moves_voltages_between_phases_by_next_to_nothing_and_a_la
         v = found.vm * np.exp(1j * found.va)
         between.append(v.reshape(5, 3) - np.roll(v.reshape(5, 3), 1, axis=1))
     assert between[0] == pytest.approx(between[1], abs=1e-6)
-    assert (none.gauge, strong.gauge) == (Gauge((3, 4, 5), (3,)), Gauge((), (3,)))
+    assert (none.gauge, strong.gauge.ungrounded, strong.gauge.pinned) == (Gauge((3, 4, 5), (3,)), (), (3,))
+    shares = {(bus, phase): (g, b) for bus, phase, g, b in strong.gauge.shares}
+    assert shares == {
+        (3, phase): pytest.approx((0.0, b / 3.1)) for phase, b in zip("abc", (1.0, 1.2, 0.9), strict=True)
+    }
     found = solve_power_flow(strong, tolerance=1e-13)
     v = found.vm * np.exp(1j * found.va)
     assert abs((build_admittance(strong).ybus @ v)[6:].sum()) < 1e-12
