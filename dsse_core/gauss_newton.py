@@ -71,6 +71,14 @@ def is_out_of_reach(dvm: float) -> bool:
     return not dvm <= FARTHEST_DVM
 
 
+def are_magnitudes(vm: np.ndarray) -> bool:
+    """True where all of ``vm``, p.u., are known to be above 0.
+
+    A negative one is an image of a state at which an iteration that went astray can settle.
+    """
+    return bool(vm.min() > REST)
+
+
 def choose_share(
     steps: int, uses_currents: bool, share_before: float, square_before: float, square: float, turn: float
 ) -> float:

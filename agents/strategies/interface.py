@@ -17,7 +17,7 @@ import numpy as np
 from agents.messages.packing import BoundaryUpdate, Header
 from agents.protocol.configuration import Configuration
 from dsse_core.exchange.boundary_load import Loads
-from dsse_core.gauss_newton import FARTHEST_DVM
+from dsse_core.gauss_newton import FARTHEST_DVM, are_magnitudes
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.partition import Area, Neighbour
 
@@ -74,13 +74,12 @@ class Estimate:
     def is_reasonable(self, no_load_va: np.ndarray) -> bool:
         """True where a grid can be in this state, however unusual it is; ``no_load_va``: angles of the unloaded buses.
 
-        NaN is no such state. A negative magnitude, or a bus that is off by full turns, is an image of a state at which
-        an iteration that went astray can settle; it is no such state either. So angles spread over less than half a
-        turn. Turns that the unloaded buses have, too, as behind transformers, and a common shift of all angles do not
-        count.
+        NaN is no such state. A bus that is off by full turns is an image of one, as a negative magnitude is (see
+        ``are_magnitudes``), and no such state either. So angles spread over less than half a turn. Turns that the
+        unloaded buses have, too, as behind transformers, and a common shift of all angles do not count.
         """
         least, most, load = self.va.min(), self.va.max(), self.va - no_load_va
-        voltages = self.vm.min() > 0 and self.vm.max() < LARGEST_VM
+        voltages = are_magnitudes(self.vm) and self.vm.max() < LARGEST_VM
         voltages = voltages and least > -LARGEST_VA and most < LARGEST_VA and load.max() - load.min() < math.pi
         return bool(voltages and math.isfinite(self.sigma_vm.sum() + self.sigma_va.sum() + self.objective))
 

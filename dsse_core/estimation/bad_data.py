@@ -9,8 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from dsse_core.errors import NotObservableError
+from dsse_core.errors import EstimationDivergedError, NotObservableError
 from dsse_core.estimation.decision import Decision, IterationLostError, Memory, Totals, decide
+from dsse_core.estimation.divergence import explain_magnitudes
 from dsse_core.estimation.estimator import estimate_with_plan, iterate_with_plan, plan_scan
 from dsse_core.estimation.plan import BackendChoice, EstimationPlan, build_estimation_plan
 from dsse_core.estimation.residuals import (
@@ -188,6 +189,7 @@ def process_bad_data_with_plan(
         try:
             following = _estimate_without(rows, result, start, tolerance, memory, switches)
         except (IterationLostError, NotObservableError):
+            _check_magnitudes(result)
             memory, _ = decide(memory, NO_NUMBERS)
             result = _estimate_without([], result, start, tolerance, memory)
             break
@@ -196,7 +198,14 @@ def process_bad_data_with_plan(
             removed.append(RemovedMeasurement(result.measurements[row], normalized, memory.tied[-1]))
         switched |= {switch: math.sqrt(result.gains[switch]) for switch in switches}
         result = following
+    _check_magnitudes(result)
     return _report(result, [*(_describe_dead(m, result) for m in dead), *removed], switched, threshold)
+
+
+def _check_magnitudes(result: EstimationResult) -> None:
+    """Raises EstimationDivergedError where no grid has the magnitudes of an estimate that is to stand."""
+    if cause := explain_magnitudes(result.network, result.x):
+        raise EstimationDivergedError(result.iterations, 0.0, cause)
 
 
 def _leave_out_dead(

@@ -48,12 +48,15 @@ STEPS_USED_UP = "steps used up"  # reason of an end with an estimate, after whic
 class IterationLostError(Exception):
     """The iteration has no end. ``weighted``: |r| / sigma of all meters where it has stopped, (n_meas,).
 
-    ``reason``: DIVERGED or OUT_OF_REACH.
+    ``reason``: DIVERGED or OUT_OF_REACH. ``cause``: the cause, where the end tells it.
     """
 
-    def __init__(self, iterations: int, step: float, weighted: np.ndarray, reason: str = DIVERGED) -> None:
+    def __init__(
+        self, iterations: int, step: float, weighted: np.ndarray, reason: str = DIVERGED, cause: str = ""
+    ) -> None:
         super().__init__(f"no end after {iterations} iterations")
         self.iterations, self.step, self.weighted, self.reason = iterations, step, weighted, reason
+        self.cause = cause
 
 
 @dataclass(frozen=True)

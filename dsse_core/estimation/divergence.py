@@ -15,10 +15,11 @@ from dsse_core.estimation.decision import IterationLostError, Memory
 from dsse_core.estimation.plan import EstimationPlan
 from dsse_core.estimation.residuals import THRESHOLD
 from dsse_core.estimation.result import EstimationResult
-from dsse_core.gauss_newton import MAX_DVA, MAX_DVM, Solution
+from dsse_core.gauss_newton import MAX_DVA, MAX_DVM, Solution, are_magnitudes
 from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.meter_table import QUANTITY, number_kinds
+from dsse_core.grid.network import Network
 from dsse_core.grid.quantities import Quantity
 
 MOST_SUSPECTS = 3  # meters; without each of them the state is estimated once more
@@ -48,8 +49,20 @@ def explain_divergence(
                 "the other readings; check that meter's value, sign and unit"
             )
             return EstimationDivergedError(lost.iterations, lost.step, cause, plan.meters[row].id, lost.reason)
-    cause = _find_cause(plan, values, sigmas, estimate)
+    cause = lost.cause or _find_cause(plan, values, sigmas, estimate)
     return EstimationDivergedError(lost.iterations, lost.step, cause, reason=lost.reason)
+
+
+def explain_magnitudes(network: Network, x: np.ndarray) -> str:
+    """Text that names the magnitude of x = [va; vm; ...] that is not above 0; empty where there is none."""
+    vm = np.where(network.is_dead, 1.0, x[network.n_nodes : 2 * network.n_nodes])
+    if are_magnitudes(vm):
+        return ""
+    row = int(np.argmin(vm))
+    return (
+        f"it has come to {vm[row]:.3g} p.u. at bus {network.node_names[row]}, where no grid is; check the readings "
+        "there, and with phases whether shunts join some of them to ground far more firmly than others"
+    )
 
 
 def _find_suspects(plan: EstimationPlan, weighted: np.ndarray) -> list[int]:

@@ -19,7 +19,7 @@ from dsse_core.estimation.decision import (
     decide,
     limit_total,
 )
-from dsse_core.estimation.divergence import explain_divergence
+from dsse_core.estimation.divergence import explain_divergence, explain_magnitudes
 from dsse_core.estimation.plan import BackendChoice, EstimationPlan, build_estimation_plan
 from dsse_core.estimation.radial import estimate_radial
 from dsse_core.estimation.result import EstimationResult
@@ -169,10 +169,11 @@ def _estimate_as_area(
         grid.carry_out(verdict)
         if verdict.decision not in (Decision.EVALUATE, Decision.FINAL):
             continue
-        if not grid.is_lost:
+        cause = "" if verdict.decision is Decision.EVALUATE else explain_magnitudes(plan.network, grid.x)
+        if not (grid.is_lost or cause):
             return memory, grid.solution(), grid.taps
         if memory.from_flat_start:
-            raise grid.diverged()
+            raise grid.diverged(cause=cause)
         memory = begin_at_flat_start(memory)
         grid.carry_out(Verdict(Decision.ANEW))
 
@@ -276,7 +277,7 @@ class WholeGrid:
         """z - h(x) of all meters, (n_meas,)."""
         return self._linear.model.model.subtract(self._values, self._linear.rows.predict(x))
 
-    def diverged(self, reason: str = DIVERGED) -> IterationLostError:
+    def diverged(self, reason: str = DIVERGED, cause: str = "") -> IterationLostError:
         """The error for an iteration that has stopped here."""
         weighted = abs(self._find_residual(self._before)) * self._weight
-        return IterationLostError(self._steps, max(self._size), weighted, reason)
+        return IterationLostError(self._steps, max(self._size), weighted, reason, cause)

@@ -73,7 +73,7 @@ def make_branch_table(
         in_service=branches.in_service,
         **dict(zip(QUANTITIES, values, strict=True)),
         loading_percent=find_loading(branches, flows),
-        neutral_a=None if table.nodes.is_balanced else abs(sum_over_phases(branches, flows.i_from)) * a_from,
+        neutral_a=None if table.nodes.is_balanced else abs(_sum_over_phases(branches, flows.i_from)) * a_from,
         **_list_taps(state),
         **{f"sigma_{q}": s * u for q, s, u in zip(QUANTITIES, deviations, units, strict=True)},
         scan=scan,
@@ -93,7 +93,7 @@ def _list_taps(state: GridState) -> dict[str, Any]:
     return {"tap_ratio": ratio, "sigma_tap_ratio": sigma, "tap_steps_off": np.round(steps) + 0.0}
 
 
-def sum_over_phases(branches: BranchModel, values: np.ndarray) -> np.ndarray:
+def _sum_over_phases(branches: BranchModel, values: np.ndarray) -> np.ndarray:
     """The sum of the complex ``values`` of all conductors of each one's branch, (n_row,)."""
     of_branch = np.bincount(branches.branch, values.real) + 1j * np.bincount(branches.branch, values.imag)
     return np.asarray(of_branch[branches.branch])

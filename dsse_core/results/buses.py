@@ -63,7 +63,7 @@ def make_bus_table(
         p_kw=state.injection.real * kw,
         q_kvar=state.injection.imag * kw,
         grounded=None if nodes.is_balanced else grounded,
-        unbalance_percent=None if nodes.is_balanced else find_unbalance(network, state.vm, state.va),
+        unbalance_percent=None if nodes.is_balanced else _find_unbalance(network, state.vm, state.va),
         sigma_vm_kv=sigma_vm * kv,
         sigma_p_kw=sigma_injection[0] * kw,
         sigma_q_kvar=sigma_injection[1] * kw,
@@ -74,7 +74,7 @@ def make_bus_table(
     return Table("buses", list_columns(columns))
 
 
-def find_unbalance(network: Network, vm: np.ndarray, va: np.ndarray) -> np.ndarray:
+def _find_unbalance(network: Network, vm: np.ndarray, va: np.ndarray) -> np.ndarray:
     """The negative by the positive sequence of the voltages of each node's bus, percent, (n_nodes,).
 
     Nan at buses where not all of a, b and c are there and live.

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from agents.strategies.interface import LARGEST_VM, Estimate
+from dsse_core.gauss_newton import REST
 
 THREE = np.ones(3)
 SOUND = Estimate(
@@ -39,11 +40,20 @@ def test_what_transformers_turn_is_no_reason_to_reject_an_estimate():
         {"va": np.array([0.0, 0.01, 2 * np.pi])},
         {"va": np.array([0.0, np.nan, 0.0])},
         {"vm": np.array([1.0, -1.0, 1.0])},
+        {"vm": np.array([1.0, 0.9 * REST, 1.0])},
         {"vm": np.array([1.0, 1.1 * LARGEST_VM, 1.0])},
         {"sigma_vm": np.array([0.001, np.inf, 0.001])},
         {"objective": np.nan},
     ],
-    ids=["a full turn off", "no angle", "negative", "far too high", "known to infinity", "no objective"],
+    ids=[
+        "a full turn off",
+        "no angle",
+        "negative",
+        "not known from 0",
+        "far too high",
+        "known to infinity",
+        "no objective",
+    ],
 )
 def test_an_estimate_that_no_grid_can_be_in_is_rejected(changes):
     assert not replace(SOUND, **changes).is_reasonable(UNTURNED)

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dsse_core.errors import InvalidInputError
+from dsse_core.errors import EstimationDivergedError, InvalidInputError
 from dsse_core.estimation.bad_data import process_bad_data
+from dsse_core.estimation.estimator import estimate_with_plan, plan_scan
 from dsse_core.grid.admittance import find_no_load
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.loads import Shunt
@@ -55,6 +56,24 @@ def test_the_unloaded_state_is_that_in_which_currents_through_shunts_add_up_to_z
     assert abs(v @ np.array([10, 80, 600])) < 1e-3 * 690  # lines have charging, too
     assert abs(v - np.roll(v, 1)) == pytest.approx(np.sqrt(3), abs=1e-3)
     assert vm[ALL_UNLIKE.nodes_at(4)] == pytest.approx(abs(v))
+
+
+def test_an_image_with_a_negative_magnitude_is_no_estimate() -> None:
+    readings = place_meters(TWO_ALIKE, 1, None, is_rich=False)
+    plan, values, sigmas = plan_scan(TWO_ALIKE, readings, reference=None, backend="auto")
+    found, row = estimate_with_plan(plan, values, sigmas), TWO_ALIKE.node(4, "c")
+    assert f"vm@{TWO_ALIKE.node_names[row]}" not in {meter.id for meter in plan.meters}
+    vm, va = found.vm.copy(), found.va.copy()
+    vm[row], va[row] = -vm[row], va[row] + np.pi
+    again = estimate_with_plan(plan, values, sigmas, start=(vm, va))
+    assert again.memory.from_flat_start
+    assert again.vm == pytest.approx(found.vm, abs=GAP)
+
+
+def test_an_iteration_that_ends_below_a_magnitude_of_0_names_the_node() -> None:
+    network = grounded_by({"a": 181, "b": 1.4}, CAPACITOR, load=1.0)
+    with pytest.raises(EstimationDivergedError, match=r"it has come to -0\.\d+ p\.u\. at bus 4\.a, where no grid is"):
+        process_bad_data(network, place_meters(network, 13, None, is_rich=False))
 
 
 def test_a_corner_that_shunts_hold_at_ground_is_refused_by_name() -> None:
