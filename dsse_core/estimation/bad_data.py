@@ -18,15 +18,12 @@ from dsse_core.estimation.residuals import (
     CONFIDENCE,
     DEAD_VM,
     THRESHOLD,
-    MeterChecks,
     chi_square_limit,
     find_dead,
     find_switches,
     find_taps,
 )
 from dsse_core.estimation.result import EstimationResult
-from dsse_core.estimation.switches import find_wrong_switches
-from dsse_core.estimation.taps import find_wrong_taps
 from dsse_core.gauss_newton import LAST_STEP
 from dsse_core.grid.columns import take_items
 from dsse_core.grid.measurement import Measurement, Meter
@@ -109,29 +106,14 @@ class BadDataReport:
         )
 
 
-def check_meters(result: EstimationResult) -> MeterChecks:
-    """Checks of the estimate's meters: normalised residuals, suspects and critical meters."""
-    plan = result.plan
-    of_meters = result.residual, result.residual_variance, result.sigmas, ~plan.virtual
-    return MeterChecks(plan.meters, *of_meters, lambda: plan.indispensable, lambda: _find_others(result))
-
-
-def _find_others(result: EstimationResult) -> dict[str, float]:
-    """Taps and switches that stand out."""
-    if not result.network.with_tap_steps:  # where the back end is radial, the sparse one is not built
-        return find_wrong_switches(result.gains)
-    model = result.plan.sparse.model.with_values(result.values, result.sigmas)
-    return find_wrong_taps(model, result.x, {}) | find_wrong_switches(result.gains)
-
-
 def find_critical(result: EstimationResult) -> tuple[str, ...]:
     """Ids of the measurements without redundancy, see ``MeterChecks.critical``."""
-    return check_meters(result).critical
+    return result.checks.critical
 
 
 def normalized_residuals(result: EstimationResult) -> np.ndarray:
     """|r_i| / sqrt(Omega_ii) (eq. 3.23), shape (n_meas,); 0 for virtual measurements and where Omega_ii is 0."""
-    return check_meters(result).normalized
+    return result.checks.normalized
 
 
 def process_bad_data(
@@ -249,7 +231,7 @@ def _estimate_without(
 
 def _totals_of(result: EstimationResult, threshold: float) -> Totals:
     """Totals of the estimate for ``decide``: J, and the suspects above ``threshold``."""
-    worst, tied = (tuple(found.items()) for found in check_meters(result).suspects(threshold))
+    worst, tied = (tuple(found.items()) for found in result.checks.suspects(threshold))
     return Totals(result.objective, result.degrees_of_freedom, worst=worst, tied=tied, areas=1, referenced=True)
 
 
@@ -273,7 +255,7 @@ def _report(
     critical = find_critical(result)
     limit = chi_square_limit(result.degrees_of_freedom, CONFIDENCE)
     detected = result.objective >= limit
-    taps = find_taps(check_meters(result).suspects(threshold)[0]) if detected else {}
+    taps = find_taps(result.checks.suspects(threshold)[0]) if detected else {}
     return BadDataReport(
         result=result,
         removed=tuple(removed),

@@ -10,10 +10,12 @@ from typing import Literal, get_args
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.estimation.switches import Alternatives, build_alternatives
 from dsse_core.grid.columns import Records, take_items
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.meter_table import find_virtual
 from dsse_core.grid.network import Network
+from dsse_core.grid.supply import find_alternatives
 from dsse_core.linear.area_model import build_whole_grid
 from dsse_core.linear.whole_grid import GridSolver
 from dsse_core.observability import find_indispensable_rows, find_reference
@@ -49,6 +51,12 @@ class EstimationPlan:
     def sparse(self) -> GridSolver:
         """The grid as one area on sparse matrices; where the back end is radial, for what that does not compute."""
         return build_whole_grid(self.network, self.meters, self.reference)
+
+    @cached_property
+    def alternatives(self) -> Alternatives:
+        """The grid with the other status of each switch."""
+        model = self.sparse.model
+        return build_alternatives(model, find_alternatives(model.area, {}))
 
     @cached_property
     def virtual(self) -> np.ndarray:

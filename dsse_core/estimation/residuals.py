@@ -72,13 +72,17 @@ class MeterChecks:
         unchecked = (self.variance <= CRITICAL_REDUNDANCY * self.sigma**2) | self.find_indispensable()
         return tuple(self.meters[k].id for k in np.flatnonzero(unchecked & self.real).tolist())
 
+    @cached_property
+    def _others(self) -> dict[str, float]:
+        return dict(self.find_others())
+
     def suspects(self, threshold: float = THRESHOLD) -> tuple[dict[str, float], dict[str, float]]:
         """Meter, tap or switch -> its normalised residual, for those above ``threshold``; two parts, see
         ``split_suspects``.
         """
         above = np.flatnonzero(self.normalized > threshold).tolist()
         found = {self.meters[k].id: float(self.normalized[k]) for k in above}
-        return split_suspects(found | dict(self.find_others()), set(self.critical))
+        return split_suspects(found | self._others, set(self.critical))
 
 
 def name_tap(branch: str, steps: int) -> str:

@@ -11,10 +11,12 @@ import numpy as np
 from dsse_core.estimation.decision import Memory
 from dsse_core.estimation.plan import Backend, EstimationPlan
 from dsse_core.estimation.radial import RadialInverse, find_radial_variances, invert_radial
-from dsse_core.estimation.switches import weigh_switches
+from dsse_core.estimation.residuals import MeterChecks
+from dsse_core.estimation.switches import find_wrong_switches, weigh_switches
+from dsse_core.estimation.taps import find_wrong_taps
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.network import Network
-from dsse_core.grid.supply import find_alternatives
+from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.whole_grid import GridSolver
 
 
@@ -124,8 +126,23 @@ class EstimationResult:
         """Switch -> by how much J is less with its other status, see ``weigh_switches``."""
         if not self.network.switches:  # where the back end is radial, the sparse one is not built
             return {}
-        model = self.plan.sparse.model.with_values(self.values, self.sigmas)
-        return weigh_switches(model, self.x, {}, find_alternatives(model.area, {}))
+        return weigh_switches(self._model, self.x, {}, self.plan.alternatives)
+
+    @cached_property
+    def checks(self) -> MeterChecks:
+        """Checks of the estimate's meters: normalised residuals, suspects and critical meters."""
+        of_meters = self.residual, self.residual_variance, self.sigmas, ~self.plan.virtual
+        return MeterChecks(self.plan.meters, *of_meters, lambda: self.plan.indispensable, self._find_others)
+
+    def _find_others(self) -> dict[str, float]:
+        """Taps and switches that stand out."""
+        taps = find_wrong_taps(self._model, self.x, {}) if self.network.with_tap_steps else {}
+        return taps | find_wrong_switches(self.gains)
+
+    @property
+    def _model(self) -> AreaMeasurements:
+        """The grid as one area with these readings; where the back end is radial, the sparse one is built for it."""
+        return self.plan.sparse.model.with_values(self.values, self.sigmas)
 
     @cached_property
     def radial_inverse(self) -> RadialInverse:

@@ -26,25 +26,42 @@ from dsse_core.linear.sparse import SparseRows
 MOST_ITERATIONS = 20  # of Gauss-Newton with the other status
 
 
+Alternatives = Mapping[str, tuple[TableauSolver, np.ndarray]]
+"""Switch -> solver of the area with its other status, and the positions of the meters that are in service then."""
+
+
+def build_alternatives(model: AreaMeasurements, networks: Mapping[str, Network]) -> Alternatives:
+    """The alternatives to ``model`` for any readings of its meters; ``networks``: see ``find_alternatives``."""
+    return {
+        switch: (_on_rows(with_network(model, network)), find_meters_in_service(network, model.meters))
+        for switch, network in networks.items()
+    }
+
+
 def weigh_switches(
-    model: AreaMeasurements, x: np.ndarray, received: Received, alternatives: Mapping[str, Network]
+    model: AreaMeasurements, x: np.ndarray, received: Received, alternatives: Alternatives
 ) -> dict[str, float]:
-    """Switch -> by how much J is less with its other status, which ``alternatives`` have; negative where it is more.
+    """Switch -> by how much J is less with its other status, of all ``alternatives``; negative where it is more.
 
     ``received``: the information of neighbours at ``x``. A meter at a switch that is opened should read 0. A switch is
     left out where one of its statuses leads to no end.
     """
     found: dict[str, float] = {}
-    if not alternatives or (least := _find_least(model, x, received)) is None:
+    if not alternatives or (least := _find_least(_on_rows(model), x, received)) is None:
         return found
-    for switch, network in alternatives.items():
-        if (of_other := _find_least(with_network(model, network), x, received)) is None:
+    for switch, (solver, rows) in alternatives.items():
+        read = solver.model.with_values(model.z[rows], model.sigma[rows], further=model.further)
+        if (of_other := _find_least(solver.with_readings(read), x, received)) is None:
             continue
         at_switch = ~model.virtual
-        at_switch[find_meters_in_service(network, model.meters)] = False
+        at_switch[rows] = False
         reads_0 = float(((model.z[at_switch] / model.sigma[at_switch]) ** 2).sum())
         found[switch] = least - of_other - reads_0
     return found
+
+
+def _on_rows(model: AreaMeasurements) -> TableauSolver:
+    return TableauSolver(model, SparseRows(model), "sparse")
 
 
 def find_wrong_switches(gains: Mapping[str, float]) -> dict[str, float]:
@@ -68,11 +85,11 @@ def describe_switches(switched: Iterable[str], gains: Mapping[str, float]) -> It
         yield f"undecided, the readings fit both statuses: switch {', '.join(undecided)}"
 
 
-def _find_least(model: AreaMeasurements, x: np.ndarray, received: Received) -> float | None:
+def _find_least(solver: TableauSolver, x: np.ndarray, received: Received) -> float | None:
     """The least J of the area's rows and of the messages ``received``, found from ``x`` on by Gauss-Newton; None where
     that has no end.
     """
-    solver, n = TableauSolver(model, SparseRows(model), "sparse"), model.n_nodes
+    model, n = solver.model, solver.model.n_nodes
     for _ in range(MOST_ITERATIONS):
         try:
             dx = solver.step(x, received)

@@ -16,7 +16,7 @@ import numpy as np
 from dsse_core.errors import DsseError
 from dsse_core.estimation.decision import MOST_NAMED, Decision, Memory, Totals, Verdict, limit_total
 from dsse_core.estimation.residuals import DEAD_VM, MeterChecks, find_dead, find_switches, find_taps
-from dsse_core.estimation.switches import find_wrong_switches, weigh_switches
+from dsse_core.estimation.switches import Alternatives, build_alternatives, find_wrong_switches, weigh_switches
 from dsse_core.estimation.taps import find_wrong_taps
 from dsse_core.exchange.boundary_load import Loads, powers_from, stand_in_for
 from dsse_core.exchange.feeder_bad_data import (
@@ -62,6 +62,8 @@ class AreaEstimation:
         self.failure = ""
         self.removed: tuple[str, ...] = ()
         self.gains: Mapping[str, float] = {}  # of the other statuses of switches at x, see ``weigh_switches``
+        self._are_weighed = False  # in this start
+        self._alternatives: Alternatives | None = None  # for the meters in use; None while not needed
         self.taps: Mapping[str, tuple[float, float]] = {}  # branch -> its estimated tap, sigma, from ``find_sigmas``
         self.critical: tuple[str, ...] = ()
         self.unobservable: tuple[int, ...] = ()  # nodes, by rows
@@ -153,7 +155,7 @@ class AreaEstimation:
     def _drop_model(self) -> None:
         if self._model is not None:
             self._model.end()
-        self._model, self._boundary_values = None, {}
+        self._model, self._alternatives, self._boundary_values = None, None, {}
 
     def _hold_dead(self, x: np.ndarray) -> np.ndarray:
         """``x`` with nodes without supply at no load: there they begin when they are fed again."""
@@ -234,7 +236,7 @@ class AreaEstimation:
         return suspect in self.own_meters or not branches.isdisjoint(self.area.network.branch_ids)
 
     def _start_anew(self, removed: Sequence[str]) -> None:
-        self.failure, self.gains = "", {}
+        self.failure, self.gains, self._are_weighed = "", {}, False
         self.removed = tuple(meter for meter in removed if meter in self.own_meters)
         self.x = self.linearized_at = self._start
         self._step = np.zeros_like(self.x)
@@ -277,6 +279,7 @@ class AreaEstimation:
         if former is not None and former.meters == meters:
             self._model = former.with_readings(in_use, further)
         else:
+            self._alternatives = None
             backend: Backend = "pieces" if self.dead.any() else "auto"  # solves lose digits where a part is dead
             self._model = replace(
                 build_area_model(self._supplied, in_use, self._reference, backend=backend), further=further
@@ -424,7 +427,8 @@ class AreaEstimation:
         """
         try:
             if self.is_first:
-                self._pieces = pieces or {}
+                if (pieces := pieces or {}) != self._pieces:
+                    self._pieces, self._alternatives = pieces, None
                 self._leave_dead(self._pieces)
             self._check_no_load(no_load)
             if verdict.takes_step:
@@ -512,9 +516,12 @@ class AreaEstimation:
 
     def weigh_switches(self) -> None:
         """Finds by how much J of the whole grid is less with the other status of each switch, at x."""
-        self.gains = self.gains or weigh_switches(
-            self.model, self.x, self.received, find_alternatives(self.area, self._pieces)
-        )
+        if self._are_weighed:
+            return
+        if self._alternatives is None:
+            self._alternatives = build_alternatives(self.model, find_alternatives(self.area, self._pieces))
+        self.gains = weigh_switches(self.model, self.x, self.received, self._alternatives)
+        self._are_weighed = True
 
     def find_sigmas(self) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
         """Standard deviations (sigma_vm, sigma_va), shape (n_nodes,), p.u. and rad, and the critical meters.

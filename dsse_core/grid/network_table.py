@@ -180,23 +180,35 @@ class NetworkTable:
 
     @cached_property
     def node_island(self) -> np.ndarray:
-        """A number for each node, (n_nodes,), equal where a path of conductors and windings in service joins two.
+        """A number for each node, (n_nodes,), equal where a path of conductors and windings in service joins two."""
+        return self.island if self.nodes.is_balanced else self.find_islands()
+
+    def find_islands(self, without: int = -1) -> np.ndarray:
+        """``node_island`` where the branch ``without``, by its row, does not count."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        branch, row, column = self.joints
+        row, column = row[branch != without], column[branch != without]
+        graph = coo_array((np.ones(len(row)), (row, column)), shape=(len(self.nodes),) * 2)
+        number: np.ndarray = connected_components(graph, directed=False)[1]
+        return number
+
+    @cached_property
+    def joints(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Row of the branch of each conductor and winding in service, and the two nodes that it joins.
 
         A line joins each phase with itself: its coupling carries no power to a phase that nothing feeds.
         """
         if self.nodes.is_balanced:
-            return self.island
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
-
-        ends: list[np.ndarray] = [np.zeros((2, 0), dtype=np.int64)]
+            return self.active, self.f, self.t
+        joints: list[np.ndarray] = [np.zeros((3, 0), dtype=np.int64)]
         for place, k in enumerate(self.active.tolist()):
             ports = np.concatenate([self.ports.at(place), self.ports.at(len(self.active) + place)])
-            ends.append(self.port_node[ports[self.primitives[k].joined_ports]])
-        row, column = np.hstack(ends)
-        graph = coo_array((np.ones(len(row)), (row, column)), shape=(len(self.nodes),) * 2)
-        number: np.ndarray = connected_components(graph, directed=False)[1]
-        return number
+            ends = self.port_node[ports[self.primitives[k].joined_ports]]
+            joints.append(np.vstack([np.full(ends.shape[1], k), ends]))
+        branch, row, column = np.hstack(joints)
+        return branch, row, column
 
     def is_possible(self) -> bool:
         """True where values, ids and ends of all buses and branches are possible; ids of branches are not checked."""

@@ -18,13 +18,14 @@ Pieces = tuple[int, ...]
 """Of each node of a boundary: FED, or the number of its piece, the same where nodes hang together on that side."""
 
 
-def find_pieces(area: Area, received: Mapping[str, Pieces], but: str = "") -> np.ndarray:
+def find_pieces(area: Area, received: Mapping[str, Pieces], but: str = "", *, without: str = "") -> np.ndarray:
     """The number of the piece of each node of ``area``, (n_nodes,), FED where it is fed.
 
     ``received``: neighbour -> its pieces; a neighbour that has sent none, or a wrong number of them, counts as feeding.
-    ``but``: a neighbour whose side does not count.
+    ``but``: a neighbour whose side does not count; ``without``: a branch that does not.
     """
-    island = area.network.table.node_island + 1
+    table = area.network.table
+    island = (table.find_islands(list(area.network.branch_ids).index(without)) if without else table.node_island) + 1
     root = list(range(int(island.max(initial=0)) + 1))
 
     def find(piece: int) -> int:
@@ -64,7 +65,8 @@ def find_alternatives(area: Area, received: Mapping[str, Pieces]) -> dict[str, N
     """
     fed, found = find_pieces(area, received) == FED, {}
     for switch, is_closed in area.network.switches.items():
-        other, ends = area.operated({switch: not is_closed}), area.network.nodes_of(switch)
-        if fed[ends].all() and ((find_pieces(other, received) == FED) == fed).all():
-            found[switch] = other.network.with_dead(~fed)
+        if not fed[area.network.nodes_of(switch)].all():
+            continue
+        if not is_closed or ((find_pieces(area, received, without=switch) == FED) == fed).all():
+            found[switch] = area.operated({switch: not is_closed}).network.with_dead(~fed)
     return found

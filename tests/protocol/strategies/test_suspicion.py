@@ -11,13 +11,15 @@ import pytest
 from dsse_core.errors import DsseError
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.estimation.estimator import estimate_state
-from dsse_core.estimation.switches import describe_switches
+from dsse_core.estimation.switches import build_alternatives, describe_switches, weigh_switches
+from dsse_core.exchange import area_estimation
 from dsse_core.exchange.area_estimation import AreaEstimation
 from dsse_core.grid.network import Network
+from dsse_core.grid.supply import find_alternatives
 from dsse_core.grid.switches import keep_in_service
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.telemetry import make_telemetry
-from tests.protocol.strategies.test_switches import GAP, find_gap, read_after, switched33
+from tests.protocol.strategies.test_switches import GAP, find_gap, order, read_after, settle, switched33
 from tests.support.feeders import Feeder, read_with_noise
 from tests.support.levels import further
 from tests.support.rings import make_ring_feeder
@@ -43,6 +45,22 @@ def test_areas_and_centre_name_a_wrong_status_and_estimate_with_the_other_one(ca
     for state in bus.states.values():
         assert (state.quality, state.notes[0], state.removed) == ("degraded", note, ())
     assert find_gap(bus, operated, replace(telemetry, union=in_use)) < GAP
+
+
+def test_models_of_other_statuses_serve_all_scans_of_the_same_meters_and_statuses():
+    bus = settle(scenario := switched33(3))
+    estimation = next(p.round.estimation for p in bus.protocols.values() if "18-33" in p.round.estimation.gains)
+    before = dict(estimation.gains)
+    with mock.patch.object(area_estimation, "build_alternatives", wraps=build_alternatives) as build:
+        bus.next_scan(make_telemetry(replace(scenario, seed=2)).by_area)
+        bus.run(2.0)
+        assert build.call_count == 0
+        weighed = estimation.gains
+        fresh = build_alternatives(estimation.model, find_alternatives(estimation.area, estimation._pieces))
+        assert before != weighed == weigh_switches(estimation.model, estimation.x, estimation.received, fresh)
+        order(bus, {"18-33": True})
+        bus.run(2.0)
+        assert build.call_count > 0
 
 
 def draw_switch(seed: int) -> tuple[Feeder, Network, str]:

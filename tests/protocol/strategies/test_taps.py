@@ -1,12 +1,15 @@
 """A tap that is not where the file has it is named with its steps, by centre and areas alike, and no meter goes."""
 
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
 
+from dsse_core.estimation import result
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.estimation.residuals import describe_tap
+from dsse_core.estimation.taps import find_wrong_taps
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Meter
 from dsse_core.power_flow.newton_raphson import solve_power_flow
@@ -43,6 +46,14 @@ def test_areas_name_it_as_the_centre_does_and_are_degraded():
     for state in bus.states.values():
         assert state.quality == "degraded"
         assert describe_tap(wrong, steps) in state.notes[0]
+
+
+def test_the_estimate_of_the_whole_grid_looks_for_taps_once_at_each_end():
+    feeder, wrong, steps = draw_wrong_tap(0)
+    with mock.patch.object(result, "find_wrong_taps", wraps=find_wrong_taps) as find:
+        report = process_bad_data(feeder.network, feeder.measurements)
+    assert report.taps == {wrong: steps}
+    assert find.call_count == 1 + len(report.removed)
 
 
 @pytest.mark.n_cases(few=1, long=5, many=100)

@@ -1,6 +1,7 @@
 """A network rejects everything that it cannot mean, all of it at once."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import carry_currents
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.grid.primitives import build_line
+from scenarios.scenario import load_scenario
 
 
 def test_every_problem_is_reported_at_once():
@@ -99,3 +101,12 @@ def test_a_node_at_open_branches_only_carries_no_load():
     branches = tuple(Branch(f"{k}-{k + 1}", k, k + 1, 0.1, 0.1, in_service=k < 2, primitive=line) for k in (1, 2))
     network = Network("tie", 3.0, tuple(Bus(bus, 1.0, phases="a") for bus in (1, 2, 3)), branches)
     assert carry_currents(network, network.nodes_at(1)).round(12).tolist() == [[1, 1, 0]]
+
+
+@pytest.mark.parametrize("name", ["ieee33", "ieee13"])
+def test_islands_without_a_branch_are_those_where_it_is_open(name):
+    network = load_scenario(name).network
+    for row, branch in enumerate(network.branches):
+        branches = (*network.branches[:row], replace(branch, in_service=False), *network.branches[row + 1 :])
+        without = replace(network, branches=branches).table.node_island
+        np.testing.assert_array_equal(network.table.find_islands(row), without)
