@@ -19,7 +19,7 @@ from agents.protocol.readings import Ages, Readings
 from agents.strategies.interface import Estimate
 from dsse_core.estimation.decision import Totals
 from dsse_core.estimation.state_limits import StateLimits
-from dsse_core.estimation.switches import describe_switches
+from dsse_core.estimation.switches import Gain, describe_switches
 from dsse_core.grid.measurement import Meter, Source
 from dsse_core.grid.network import Network
 from dsse_core.reading_rules import LEAST_LEAD_S
@@ -308,7 +308,7 @@ def find_unknown_statuses(unknown: Mapping[str, str]) -> Iterator[Finding]:
         yield Finding(DEGRADED, what, "status unknown", [switch])
 
 
-def find_doubtful_switches(switched: Sequence[str], gains: Mapping[str, float]) -> Iterator[Finding]:
+def find_doubtful_switches(switched: Sequence[str], gains: Mapping[str, Gain]) -> Iterator[Finding]:
     """Yields findings for ``switched``: switches of any area that this scan takes the other way; and for switches of
     this area by ``gains``, see ``weigh_switches``.
     """

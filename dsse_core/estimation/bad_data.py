@@ -24,6 +24,7 @@ from dsse_core.estimation.residuals import (
     find_taps,
 )
 from dsse_core.estimation.result import EstimationResult
+from dsse_core.estimation.switches import Gain
 from dsse_core.gauss_newton import LAST_STEP
 from dsse_core.grid.columns import take_items
 from dsse_core.grid.measurement import Measurement, Meter
@@ -77,7 +78,7 @@ class BadDataReport:
     suspect: SuspectKept | None
     taps: Mapping[str, int]
     switched: Mapping[str, float]
-    gains: Mapping[str, float]
+    gains: Mapping[str, Gain]
 
     @property
     def undecided(self) -> tuple[tuple[str, ...], ...]:
@@ -178,7 +179,7 @@ def process_bad_data_with_plan(
         for row in rows:
             normalized = float(normalized_residuals(result)[row])
             removed.append(RemovedMeasurement(result.measurements[row], normalized, memory.tied[-1]))
-        switched |= {switch: math.sqrt(result.gains[switch]) for switch in switches}
+        switched |= {switch: math.sqrt(result.gains[switch].fall) for switch in switches}
         result = following
     _check_magnitudes(result)
     return _report(result, [*(_describe_dead(m, result) for m in dead), *removed], switched, threshold)

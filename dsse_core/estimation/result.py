@@ -12,7 +12,7 @@ from dsse_core.estimation.decision import Memory
 from dsse_core.estimation.plan import Backend, EstimationPlan
 from dsse_core.estimation.radial import RadialInverse, find_radial_variances, invert_radial
 from dsse_core.estimation.residuals import MeterChecks
-from dsse_core.estimation.switches import find_wrong_switches, weigh_switches
+from dsse_core.estimation.switches import Gain, find_wrong_switches, weigh_switches
 from dsse_core.estimation.taps import find_wrong_taps
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.network import Network
@@ -122,7 +122,7 @@ class EstimationResult:
         return self.linear.variance_of_residuals(self.x)
 
     @cached_property
-    def gains(self) -> dict[str, float]:
+    def gains(self) -> dict[str, Gain]:
         """Switch -> by how much J is less with its other status, see ``weigh_switches``."""
         if not self.network.switches:  # where the back end is radial, the sparse one is not built
             return {}

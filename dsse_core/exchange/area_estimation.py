@@ -16,7 +16,7 @@ import numpy as np
 from dsse_core.errors import DsseError
 from dsse_core.estimation.decision import MOST_NAMED, Decision, Memory, Totals, Verdict, limit_total
 from dsse_core.estimation.residuals import DEAD_VM, MeterChecks, find_dead, find_switches, find_taps
-from dsse_core.estimation.switches import Alternatives, build_alternatives, find_wrong_switches, weigh_switches
+from dsse_core.estimation.switches import Alternatives, Gain, build_alternatives, find_wrong_switches, weigh_switches
 from dsse_core.estimation.taps import find_wrong_taps
 from dsse_core.exchange.boundary_load import Loads, powers_from, stand_in_for
 from dsse_core.exchange.feeder_bad_data import (
@@ -61,7 +61,7 @@ class AreaEstimation:
         self.x = self._flat
         self.failure = ""
         self.removed: tuple[str, ...] = ()
-        self.gains: Mapping[str, float] = {}  # of the other statuses of switches at x, see ``weigh_switches``
+        self.gains: Mapping[str, Gain] = {}  # of the other statuses of switches at x, see ``weigh_switches``
         self._are_weighed = False  # in this start
         self._alternatives: Alternatives | None = None  # for the meters in use; None while not needed
         self.taps: Mapping[str, tuple[float, float]] = {}  # branch -> its estimated tap, sigma, from ``find_sigmas``

@@ -13,6 +13,7 @@ from unittest import mock
 import numpy as np
 
 from dsse_core.estimation.decision import Decision, Totals
+from dsse_core.estimation.switches import Gain
 from dsse_core.grid.partition import Area
 from dsse_core.linear.boundary_information import BoundaryInformation
 
@@ -29,7 +30,7 @@ class ToyEstimation:
         self.failure = ""
         self.removed = self.critical = self.dead_voltmeters = self.into_children = ()
         self.reported: set[str] = set()
-        self.gains: dict[str, float] = {}
+        self.gains: dict[str, Gain] = {}
         self.taps: dict[str, tuple[float, float]] = {}
         self.before_removal = None
         self.is_first = False

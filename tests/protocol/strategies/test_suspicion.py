@@ -11,7 +11,8 @@ import pytest
 from dsse_core.errors import DsseError
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.estimation.estimator import estimate_state
-from dsse_core.estimation.switches import build_alternatives, describe_switches, weigh_switches
+from dsse_core.estimation.residuals import THRESHOLD
+from dsse_core.estimation.switches import Gain, build_alternatives, describe_switches, weigh_switches
 from dsse_core.exchange import area_estimation
 from dsse_core.exchange.area_estimation import AreaEstimation
 from dsse_core.grid.network import Network
@@ -63,6 +64,13 @@ def test_models_of_other_statuses_serve_all_scans_of_the_same_meters_and_statuse
         assert build.call_count > 0
 
 
+def test_a_status_is_undecided_where_both_may_fit_by_the_figure_or_by_its_doubt():
+    gains = {"a": Gain(8.0, 0.0), "b": Gain(-191.0, 651.0), "c": Gain(-191.0, 3.0), "d": Gain(20.0, 100.0)}
+    better, undecided = describe_switches((), gains)
+    assert "switch@d (J less by 20)" in better
+    assert undecided == "undecided, the readings may fit both statuses: switch a, b"
+
+
 def draw_switch(seed: int) -> tuple[Feeder, Network, str]:
     """A feeder in five areas with a switch in the wrong status, which no meter is at; the true network; the switch."""
     feeder = make_ring_feeder(seed, 5, 1, 0.5, 0.5, anywhere=bool(seed % 2))
@@ -84,9 +92,8 @@ def draw_switch(seed: int) -> tuple[Feeder, Network, str]:
 
 
 @pytest.mark.n_cases(few=1, long=4, many=500)
-def test_the_holder_knows_the_change_of_J_of_the_whole_grid(n_cases):
-    """Beside what others are not linear in: of 215 draws one had the wrong sign, three a size off by more."""
-    seed = n_found = n_sign = n_size = 0
+def test_the_holder_knows_the_change_of_J_of_the_whole_grid_or_doubts_it(n_cases):
+    seed = n_found = n_size = n_doubt = 0
     while n_found < n_cases:
         seed += 1
         try:
@@ -94,18 +101,22 @@ def test_the_holder_knows_the_change_of_J_of_the_whole_grid(n_cases):
             read, other = (estimate_state(of, feeder.measurements) for of in (feeder.network, truth))
         except (DsseError, AssertionError):
             continue  # no place for a tie, or no estimate in the centre
-        change = read.objective - other.objective
-        assert read.gains[switch] == pytest.approx(change, rel=1e-6, abs=1e-6)  # the centre has no neighbours
-        gain, n_found = find_first_gain(feeder, switch), n_found + 1
-        n_sign += np.sign(gain) == np.sign(change) or abs(change) < 1e-3
-        n_size += abs(gain - change) < 0.5 + 2e-3 * abs(change) or abs(change) > 1e5
-    assert n_sign >= 0.99 * n_cases
+        if (central := read.gains.get(switch)) is None:
+            continue  # from the status that was read no steps lead to an end with the other one
+        change, gain, n_found = read.objective - other.objective, find_first_gain(feeder, switch), n_found + 1
+        if abs(change) < 1e5:  # beyond, J of the wrong status may have several minima
+            assert central == (pytest.approx(change, rel=1e-6, abs=1e-6), 0.0)  # without neighbours nothing is linear
+        if not gain.is_undecided:
+            assert np.sign(gain.fall) == np.sign(change), seed
+        n_size += abs(gain.fall - change) < 0.5 + 2e-3 * abs(change) or abs(change) > 1e5
+        n_doubt += gain.doubt > abs(gain.fall) > THRESHOLD**2
     assert n_size >= 0.97 * n_cases
+    assert n_doubt <= 0.05 * n_cases
 
 
-def find_first_gain(feeder: Feeder, switch: str) -> float:
+def find_first_gain(feeder: Feeder, switch: str) -> Gain:
     """What the holder finds at the first end of the scan, with the status that was read."""
-    found: list[float] = []
+    found: list[Gain] = []
     weigh = AreaEstimation.weigh_switches
 
     def record(estimation: AreaEstimation) -> None:
