@@ -7,7 +7,6 @@ the mean of the rows of its phases. K counts powers s that leave a node into bra
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -205,8 +204,7 @@ def build_measurement_model(
     """
     table, of_meter = tabulate_meters(network, meters).spread()
     rows = np.where(table.branch < 0, table.node, network.n_nodes + table.port)
-    y = sp.csr_array(admittance.stacked[rows])
-    model = build_model_of_rows(y, table.kind, table.node, table.other, of_meter)
+    model = build_model_of_rows(admittance.stacked, rows, table.kind, table.node, table.other, of_meter)
     if first_tap is None or not network.estimated_taps:
         return model
     rows = np.where(OF_VOLTAGE[table.kind], -1, rows)
@@ -214,20 +212,27 @@ def build_measurement_model(
 
 
 def build_model_of_rows(
-    y: sp.csr_array,
+    stacked: sp.csr_array,
+    rows: np.ndarray,
     kind: np.ndarray,
     node: np.ndarray,
     other: np.ndarray | None = None,
     of_meter: np.ndarray | None = None,
 ) -> MeasurementModel:
-    """The model of rows of ``kind``, places in KINDS, with their rows ``y`` of admittances and their nodes.
+    """The model of rows of ``kind``, places in KINDS: of each its row of the admittances ``stacked``, and its node.
 
     Rows of voltages keep only the entry of their node, as 0: others would fill in the tableau.
     """
-    y = _without_currents(y, OF_VOLTAGE[kind], node)
+    first, of_voltage = stacked.indptr[rows], OF_VOLTAGE[kind]
+    count = np.where(of_voltage, 1, stacked.indptr[rows + 1] - first)
+    row, indptr = np.repeat(np.arange(len(rows)), count), np.append(0, np.cumsum(count))
+    entries = (first - indptr[:-1])[row] + np.arange(len(row))
+    data, columns, own = stacked.data[entries], stacked.indices[entries], indptr[:-1][of_voltage]
+    data[own], columns[own] = 0.0, node[of_voltage]
+    y = sp.csr_array((data, columns, indptr), shape=(len(rows), stacked.shape[1]))
     if other is not None:
         y = _with_entries(y, other)
-    row = np.repeat(np.arange(len(kind)), np.diff(y.indptr))
+        row = np.repeat(np.arange(len(rows)), np.diff(y.indptr))
     at_node = (y.indices == node[row]).astype(float)
     return MeasurementModel(
         kinds=kind if of_meter is None else kind[find_first(of_meter)],
@@ -238,16 +243,6 @@ def build_model_of_rows(
         other=other,
         of_meter=of_meter,
     )
-
-
-def _without_currents(y: sp.csr_array, of_voltage: np.ndarray, node: np.ndarray) -> sp.csr_array:
-    """``y`` (k, n) whose rows ``of_voltage`` (k,) have one stored entry, 0 at the row's ``node`` (k,)."""
-    row = np.repeat(np.arange(len(node)), np.diff(y.indptr))
-    kept = np.flatnonzero(~of_voltage[row] | (y.indices == node[row]))
-    found = copy.copy(y)  # a new one would have its indices checked
-    found.data, found.indices = np.where(of_voltage[row[kept]], 0.0, y.data[kept]), y.indices[kept]
-    found.indptr = np.searchsorted(kept, y.indptr).astype(y.indptr.dtype)
-    return found
 
 
 def _with_entries(y: sp.csr_array, column: np.ndarray) -> sp.csr_array:

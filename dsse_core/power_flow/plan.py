@@ -71,7 +71,7 @@ class PowerFlowPlan:
         """The measurement model of P at ``p_rows``, then Q at ``q_rows``."""
         p, q = (np.full(len(rows), KINDS.index(kind)) for kind, rows in ((P, self.p_rows), (Q, self.q_rows)))
         nodes = np.concatenate([self.p_rows, self.q_rows])
-        return build_model_of_rows(sp.csr_array(self.admittance.stacked[nodes]), np.concatenate([p, q]), nodes)
+        return build_model_of_rows(self.admittance.stacked, nodes, np.concatenate([p, q]), nodes)
 
     def find_injections(self, x: np.ndarray) -> np.ndarray:
         """P at ``p_rows``, then Q at ``q_rows`` at x = [va; vm], and what loads draw there above that at nominal

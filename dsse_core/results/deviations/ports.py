@@ -53,7 +53,7 @@ class PortDeviations:
         of_parts.append(np.array([KINDS.index(kind) for kind in FLOWS])[self._unmetered[:, 0]])
         node, other = (np.concatenate([vars(part)[end] for part in parts]) for end in ("node", "other"))
         y = sp.csr_array(sp.vstack([part.y for part in parts]))
-        read = build_model_of_rows(y, np.concatenate(of_parts), node, other)
+        read = build_model_of_rows(y, np.arange(len(node)), np.concatenate(of_parts), node, other)
         first = 2 * n + np.cumsum([0, *map(len, of_parts)])
         self._p, self._q, *self._of_loss, self._injections = (np.arange(a, b) for a, b in pairwise(first.tolist()))
         self._vm, self._size = n + np.arange(n), int(first[-1])
