@@ -263,8 +263,8 @@ class WholeGrid:
         self.x = self.x + share * self._step
 
     def solution(self) -> Solution:
-        is_dead = np.tile(self._linear.model.area.network.is_dead, 2)
-        va, vm = np.split(np.where(is_dead, 0.0, self.x[: 2 * self._n]), 2)
+        is_dead = self._linear.model.area.network.is_dead
+        va, vm = np.where(is_dead, 0.0, self.x[: 2 * self._n].reshape(2, -1))
         r = self._find_residual(self.x)
         return vm, va, r, self._find_objective(r), self._steps
 

@@ -88,8 +88,8 @@ class AugmentedPattern:
         row, column = place[self.row[unknown]], place[H.shape[0] + self.column[unknown]]
         a, b = (place[H.shape[0] + of_pair] for of_pair in joined or (place[:0], place[:0]))
         at = np.concatenate([place, row, column, a, b]), np.concatenate([place, column, row, b, a])
-        number = np.concatenate([np.arange(self._size), self._size + unknown, self._size + H.nnz + unknown])
-        number = np.append(number, np.full(2 * len(a), -1))
+        of_H = self._size + unknown
+        number = np.concatenate([np.arange(self._size), of_H, of_H, np.full(2 * len(a), -1)])
         shape = self._size, self._size
         numbers = sp.csc_array((number, at), shape=shape)  # no two in one place
         numbers.sort_indices()
@@ -114,7 +114,7 @@ class AugmentedPattern:
 
     def fill(self, above: np.ndarray, data: np.ndarray, below: np.ndarray) -> sp.csc_array:
         """``[[diag(above), H], [H', diag(below)]]`` in the order of elimination, ``data`` the entries of H."""
-        return self._with_values(np.concatenate([above, below, data, data, [0.0]])[self._gather])
+        return self._with_values(np.concatenate([above, below, data, [0.0]])[self._gather])
 
     def fill_scaled(self, above: np.ndarray, H: sp.csr_array, below: np.ndarray, scale: np.ndarray) -> sp.csc_array:
         """``fill`` with the rows and columns of H times ``scale`` (n_meas + n_state,)."""
@@ -198,11 +198,12 @@ class AugmentedFactor:
         square = H.data**2
         square[pattern.known] = 0.0
         row_scale = reciprocal_root(np.bincount(pattern.row, square, self._n_meas))
-        scaled_variance = self.variance * row_scale**2
+        squared = row_scale**2
+        scaled_variance = self.variance * squared
         positive = scaled_variance[scaled_variance > 0]
         middle = positive.size // 2  # np.median takes three times as long
         self._a = PIVOT_SCALE / float(np.partition(positive, middle)[middle]) if positive.size else 1.0
-        square *= (row_scale**2)[pattern.row]
+        square *= squared[pattern.row]
         of_columns = np.bincount(pattern.column, square, self.n_state)
         column_scale = reciprocal_root(of_columns + damping / self._a)
         self._scale = np.concatenate([row_scale, column_scale])

@@ -18,17 +18,16 @@ def fill_tableau(gather, above, below, data, row, column, scale):
 
     ``data``, ``row``, ``column``: the entries of H. ``gather`` is negative where an entry is 0.
     """
-    n_meas, n, n_entries = len(above), len(scale), len(data)
-    scaled, found = np.empty(n_entries), np.empty(len(gather))
-    for e in range(n_entries):
+    n_meas, n = len(above), len(scale)
+    scaled, found = np.empty(len(data)), np.empty(len(gather))
+    for e in range(len(data)):
         scaled[e] = data[e] * scale[row[e]] * scale[n_meas + column[e]]
     for k in range(len(gather)):
         g = gather[k]
         if g < 0:
             found[k] = 0.0
         elif g >= n:
-            g -= n
-            found[k] = scaled[g if g < n_entries else g - n_entries]
+            found[k] = scaled[g - n]
         else:
             found[k] = above[g] if g < n_meas else below[g - n_meas]
     return found
