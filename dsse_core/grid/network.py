@@ -462,7 +462,7 @@ class Network:
         path = "no path of branches in service joins"
         if buses := self.find_unreached_buses(start):
             yield f"{path} bus {', '.join(map(str, buses))} to {called}"
-        if phases := self._find_unreached_phases(start, set(buses)):
+        if not self.table.nodes.is_balanced and (phases := self._find_unreached_phases(start, set(buses))):
             yield f"{path} {listed(phases)} to {called}; feed the phase, or leave it out of the bus"
 
     def find_ungrounded_supply(self, further: Iterable[int] = ()) -> Iterator[str]:
