@@ -121,8 +121,8 @@ def _with_schedule(partition: Partition) -> Partition:
     vm, va = find_no_load(network, network.slack.bus)
     va, table, first = va + network.slack.va, network.table, network.table.nodes.first
     unloaded = {bus: (float(vm[node]), float(va[node])) for bus, node in zip(network.row, first.tolist(), strict=True)}
-    has_loops = len(table.active) >= len(table.bus_id) or not all(area.is_on_tree for area in partition.areas)
-    may_differ = has_loops and bool((table.tap != 1.0).any() or (table.shift != 0.0).any())
+    has_taps = bool((table.tap != 1.0).any() or (table.shift != 0.0).any())
+    may_differ = has_taps and (len(table.active) >= len(table.bus_id) or not all(a.is_on_tree for a in partition.areas))
     areas = []
     for area in partition.areas:
         scheduled = replace(
@@ -138,7 +138,7 @@ def _with_schedule(partition: Partition) -> Partition:
             own, nodes = area.network.table, partition.rows_of_nodes[area.name]
             of_nodes = own.bus_id[own.nodes.item].tolist(), vm[nodes].tolist(), va[nodes].tolist()
             no_load = tuple(zip(*of_nodes, strict=True))
-        areas.append(replace(scheduled, no_load=no_load))
+        areas.append(replace(scheduled, no_load=no_load) if no_load else scheduled)
     return replace(partition, areas=tuple(areas))
 
 
@@ -279,7 +279,7 @@ def _find_pieces(network: Network, members: _Members, area: np.ndarray, row: np.
     at = [np.minimum(np.searchsorted(key, of_end), len(key) - 1) for of_end in wanted]
     within = np.logical_and(*(key[places] == of_end for places, of_end in zip(at, wanted, strict=True)))
     ends = tuple(places[within] for places in at)
-    graph = csr_array((np.ones(len(ends[0]), dtype=bool), ends), shape=(len(key), len(key)))
+    graph = csr_array((np.ones(len(ends[0])), ends), shape=(len(key), len(key)))
     pieces = np.split(connected_components(graph, directed=False)[1], np.cumsum([len(rows) for rows in members.rows]))
     for k, (name, rows, piece) in enumerate(zip(members.names, members.rows, pieces, strict=False)):
         if len(rows) == 1 and n > 1 and not (area == k).any():
@@ -389,7 +389,7 @@ def _ends_of(network: Network, branch: int) -> tuple[int, int]:
 def _phases_of(network: Network, branches: np.ndarray, bus: int) -> int:
     """The set of phases that ``branches``, by rows, have at ``bus``."""
     table = network.table
-    is_there = np.stack([table.from_bus[branches], table.to_bus[branches]]) == bus
+    is_there = table.end_rows[:, branches] == network.row[bus]
     return int(np.bitwise_or.reduce(table.branch_phases[:, branches][is_there]))
 
 

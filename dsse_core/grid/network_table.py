@@ -165,10 +165,8 @@ class NetworkTable:
 
     @cached_property
     def graph(self) -> csr_array:
-        """An entry for each pair of buses that branches in service join, (n_bus, n_bus)."""
-        from scipy.sparse import csr_array  # the import takes 0.1 s, and nothing else of a network needs it
-
-        return csr_array((np.ones(len(self.f)), (self.f, self.t)), shape=(len(self.bus_id),) * 2)
+        """An entry for each branch in service, at the buses that it joins, (n_bus, n_bus)."""
+        return _build_graph(self.f, self.t, len(self.bus_id))
 
     @cached_property
     def island(self) -> np.ndarray:
@@ -185,12 +183,11 @@ class NetworkTable:
 
     def find_islands(self, without: int = -1) -> np.ndarray:
         """``node_island`` where the branch ``without``, by its row, does not count."""
-        from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
         branch, row, column = self.joints
         row, column = row[branch != without], column[branch != without]
-        graph = coo_array((np.ones(len(row)), (row, column)), shape=(len(self.nodes),) * 2)
+        graph = _build_graph(row, column, len(self.nodes))
         number: np.ndarray = connected_components(graph, directed=False)[1]
         return number
 
@@ -236,6 +233,14 @@ class NetworkTable:
         n_ports = np.bitwise_count(self.branch_phases).sum(axis=0).tolist()
         are_square = all(y.shape == c.shape == (n, n) for (y, c), n in zip(matrices, n_ports, strict=True))
         return are_square and bool(np.isfinite(np.concatenate([m.ravel() for both in matrices for m in both])).all())
+
+
+def _build_graph(f: np.ndarray, t: np.ndarray, n: int) -> csr_array:
+    """An entry for each edge from ``f`` to ``t`` (n_edge,), by rows, in order, (n, n)."""
+    from scipy.sparse import csr_array  # the import takes 0.1 s, and nothing else of a network needs it
+
+    order = np.lexsort((t, f))
+    return csr_array((np.ones(len(f)), t[order], np.searchsorted(f[order], np.arange(n + 1))), shape=(n, n))
 
 
 def tabulate(

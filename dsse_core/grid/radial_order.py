@@ -27,14 +27,10 @@ class Tree:
     t: np.ndarray
 
 
-def walk_graph(f: np.ndarray, t: np.ndarray, top: int, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """The rows of n buses that branches from ``f`` to ``t`` (n_branch,) join to ``top``: from the top, a subtree in one
-    piece; and for each row the next row on the way to the top, (n,), at the top its own.
+def walk_graph(graph: sp.csr_array, top: int) -> tuple[np.ndarray, np.ndarray]:
+    """The rows of ``graph`` (n, n) that its edges join to ``top``: from the top, a subtree in one piece; and for each
+    row the next row on the way to the top, (n,), at the top its own.
     """
-    return _walk(sp.csr_array((np.ones(len(f)), (f, t)), shape=(n, n)), top)
-
-
-def _walk(graph: sp.csr_array, top: int) -> tuple[np.ndarray, np.ndarray]:
     order, upstream = csgraph.depth_first_order(graph, top, directed=False, return_predecessors=True)
     upstream = upstream.astype(np.int64)
     upstream[top] = top
@@ -45,7 +41,7 @@ def find_tree(network: Network, root: int) -> Tree | str:
     """The tree of the network below bus ``root``, or, as text, why the network is no tree."""
     table = network.table
     f, t, n = table.f, table.t, len(table.bus_id)
-    order, upstream = _walk(table.graph, table.rows.row_of(root))
+    order, upstream = walk_graph(table.graph, table.rows.row_of(root))
     return describe_no_tree(n, len(f), len(order), root) or Tree(order, upstream, f, t)
 
 

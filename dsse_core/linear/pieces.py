@@ -409,7 +409,7 @@ def divide_tree(table: NetworkTable, root: int) -> np.ndarray:
 
     Of a piece a bus and all below it that is in no piece yet, or all below several of its branches.
     """
-    order, upstream = walk_graph(table.f, table.t, table.rows.row_of(root), len(table.bus_id))
+    order, upstream = walk_graph(table.graph, table.rows.row_of(root))
     n_nodes = np.bincount(table.nodes.item, minlength=len(table.bus_id))
     piece, n_pieces = np.full(len(table.bus_id), -1), 0
     open_buses: dict[int, list[int]] = {}  # at a bus: those of pieces still open below

@@ -99,7 +99,7 @@ def cut_at(network: Network, tops: Collection[int]) -> dict[str, list[int]]:
 def _walk(network: Network) -> tuple[list[int], dict[int, int]]:
     """Buses from the source on, and for each the next one towards it."""
     table, ids = network.table, network.table.bus_id.tolist()
-    order, up = walk_graph(table.f, table.t, table.rows.row_of(_source_of(network)), len(ids))
+    order, up = walk_graph(table.graph, table.rows.row_of(_source_of(network)))
     return [ids[row] for row in order.tolist()], {ids[row]: ids[above] for row, above in enumerate(up.tolist())}
 
 

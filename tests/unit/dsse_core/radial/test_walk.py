@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from dsse_core.grid.radial_order import walk_graph
 
@@ -14,7 +15,12 @@ from dsse_core.radial.walk import find_order
 
 Walk = Callable[[np.ndarray, np.ndarray, int, int], tuple[np.ndarray, np.ndarray]]
 
-WALKS = pytest.mark.parametrize("walk", [find_order, walk_graph])
+
+def walk_edges(f: np.ndarray, t: np.ndarray, top: int, n: int) -> tuple[np.ndarray, np.ndarray]:
+    return walk_graph(sp.csr_array((np.ones(len(f)), (f, t)), shape=(n, n)), top)
+
+
+WALKS = pytest.mark.parametrize("walk", [find_order, walk_edges])
 
 
 def draw_tree(n: int, seed: int) -> tuple[np.ndarray, np.ndarray, int]:
