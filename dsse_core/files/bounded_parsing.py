@@ -28,7 +28,7 @@ HALF_OF_A_PAIR = re.compile(r"\\u[dD][89a-fA-F]|[\ud800-\udfff]")
 HEADER = re.compile(r"^[ \t]*+\[", re.MULTILINE)
 DOTTED = re.compile(r"(?<![\w-])[\w-]++(?:[ \t]*+\.[ \t]*+[\w-]++)++([ \t]*+[=\]])?", re.ASCII)
 """Keys, and numbers with a point."""
-LONG_INTEGER = re.compile(rf"(?<![\w-])0[xob]\w{{{MOST_DIGITS + 1}}}", re.ASCII)
+LONG_INTEGER = re.compile(rf"0[xob](?<![\w-]0.)\w{{{MOST_DIGITS + 1}}}", re.ASCII)
 
 
 def parse_json(text: str) -> Any:
@@ -103,6 +103,9 @@ def _check_keys(text: str) -> None:
     Raises:
         ValueError: a key has too many parts, there are too many of them, or an integer is too long.
     """
+    most, parts = max(line.count(".") for line in text.split("\n")), text.count("[") + 2 * text.count(".")
+    if most < DEEPEST_KEY and parts <= MOST_KEY_PARTS and not LONG_INTEGER.search(text):
+        return  # with no look at strings and comments
     bare = STRINGS_AND_COMMENTS.sub(_blank_out, text)
     if found := LONG_INTEGER.search(bare):
         line = bare.count("\n", 0, found.start()) + 1
