@@ -24,7 +24,8 @@ KIND = MeasurementKind
 INJECTIONS = (KIND.P_INJECTION, KIND.Q_INJECTION)
 SUM_OF_CURRENTS = (KIND.I_REAL, KIND.I_IMAG)
 TABLES_AT_BUSES, TABLES_ON_BRANCHES = (
-    dict.fromkeys(kind.table for kind in KIND if kind.place is place) for place in (MeterPlace.BUS, MeterPlace.BRANCH)
+    {kind.table: KIND.of_table(kind.table) for kind in KIND if kind.place is place}
+    for place in (MeterPlace.BUS, MeterPlace.BRANCH)
 )
 LARGEST = 10**LONGEST_BUS
 
@@ -173,8 +174,8 @@ class _Places:
         return sums_to_zero & is_listed
 
     def build(self) -> Records[Meter]:
-        groups = [_Group(KIND.of_table(key), self._at(key)) for key in TABLES_AT_BUSES]
-        groups += [_Group(KIND.of_table(key), self._on(key), of_branch=True) for key in TABLES_ON_BRANCHES]
+        groups = [_Group(kinds, self._at(key)) for key, kinds in TABLES_AT_BUSES.items()]
+        groups += [_Group(kinds, self._on(key), of_branch=True) for key, kinds in TABLES_ON_BRANCHES.items()]
         groups += [_Group(INJECTIONS, self._find_injections())]
         groups += [_Group(INJECTIONS, self.buses.spots_of(self.virtual), source=Source.VIRTUAL)]
         groups += [_Group(SUM_OF_CURRENTS, make_totals(np.flatnonzero(self.virtual_sums)), source=Source.VIRTUAL)]
@@ -210,14 +211,13 @@ class _Places:
         """The spots of meters of injection, without those that are virtual."""
         listed, nodes = self._listed("injection"), self.buses.rows
         whole, legs = self.buses.list_whole(listed), self.injections.list_by_leg(self.virtual_sums)
-        is_by_leg = np.isin(whole, nodes.item[legs[0]])
-        measured = nodes.of(whole[~is_by_leg])
-        measured = measured[~np.isin(measured, self.virtual)]
-        legs = legs[:, np.isin(nodes.item[legs[0]], whole)]
-        pairs = Spots(nodes.item[legs[0]], nodes.phase[legs])
-        named = self.buses.find_named(listed)
-        is_measured = ~np.isin(nodes.find(named.row, named.phases[0]), self.virtual)
-        return join_spots([self.buses.spots_of(measured), pairs, named.keep(is_measured)])
+        is_measured = np.bincount(self.virtual, minlength=len(nodes) + 1) == 0  # the last one for no node
+        n, at_bus = len(nodes.sets), nodes.item[legs[0]]
+        measured = nodes.of(whole[np.bincount(at_bus, minlength=n)[whole] == 0])
+        legs = legs[:, np.bincount(whole, minlength=n)[at_bus] > 0]
+        pairs, named = Spots(nodes.item[legs[0]], nodes.phase[legs]), self.buses.find_named(listed)
+        to_ground = self.buses.spots_of(measured[is_measured[measured]])
+        return join_spots([to_ground, pairs, named.keep(is_measured[nodes.find(named.row, named.phases[0])])])
 
     def find_problems(self) -> Iterator[str]:
         """Problems of all keys, as text."""

@@ -99,9 +99,9 @@ def has_one_complete_impedance(given: Form) -> Form:
         ValueError: the impedance is incomplete, or in both units.
     """
     keys = frozenset[str]() if isinstance(given, BranchColumns) else frozenset(given.model_fields_set)
-    if isinstance(given, BranchTable) and (ports := keys & PORTS):
+    if isinstance(given, BranchTable) and not keys.isdisjoint(PORTS):
         if None in (given.g_ports_pu, given.b_ports_pu) or keys & IMPEDANCES:
-            raise ValueError(f"has {', '.join(sorted(ports))}; {WHOLE_PORTS}")
+            raise ValueError(f"has {', '.join(sorted(keys & PORTS))}; {WHOLE_PORTS}")
         return given
     ohm = (given.r_ohm, given.x_ohm, given.b_us, given.g_us)
     pu = (given.r_pu, given.x_pu, given.b_pu, given.g_pu)

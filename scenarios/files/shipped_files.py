@@ -12,15 +12,15 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.files.wording import suggest
 from scenarios.files.whole_folder import written_whole
 
+ROOT = Path(str(files("scenarios")))
 NETWORK_COPY = "network.toml"
 NETWORK_LINE = re.compile(r'^network = "([^"]+)"', re.MULTILINE)
 
 
 def find_shipped(folder: Literal["cases", "shipped"]) -> dict[str, Path]:
     """Name -> file of everything shipped in ``folder``, sorted by name."""
-    root = Path(str(files("scenarios") / folder))
-    names = sorted(file.removesuffix(".toml") for file in os.listdir(root) if file.endswith(".toml"))
-    return {name: root / f"{name}.toml" for name in names}
+    names = sorted(file.removesuffix(".toml") for file in os.listdir(ROOT / folder) if file.endswith(".toml"))
+    return {name: ROOT.joinpath(folder, f"{name}.toml") for name in names}
 
 
 def find_scenario(name: str) -> Path:
