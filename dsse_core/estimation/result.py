@@ -128,13 +128,14 @@ class EstimationResult:
             return {}
         return weigh_switches(self._model, self.x, {}, self.plan.alternatives)
 
-    @cached_property
+    @property
     def checks(self) -> MeterChecks:
-        """Checks of the estimate's meters: normalised residuals, suspects and critical meters."""
+        """Checks of the estimate's meters. Not kept: they ask the estimate, and a cycle of objects would keep both."""
         of_meters = self.residual, self.residual_variance, self.sigmas, ~self.plan.virtual
-        return MeterChecks(self.plan.meters, *of_meters, lambda: self.plan.indispensable, self._find_others)
+        return MeterChecks(self.plan.meters, *of_meters, lambda: self.plan.indispensable, lambda: self._others)
 
-    def _find_others(self) -> dict[str, float]:
+    @cached_property
+    def _others(self) -> dict[str, float]:
         """Taps and switches that stand out."""
         taps = find_wrong_taps(self._model, self.x, {}) if self.network.with_tap_steps else {}
         return taps | find_wrong_switches(self.gains)
