@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.errors import InvalidInputError, NotObservableError
-from dsse_core.grid.admittance import build_admittance, find_start
+from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.columns import Records, take_items
 from dsse_core.grid.measurement import MeasurementKind, Meter, find_meter_problems
 from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
@@ -179,7 +179,7 @@ def _no_load_model(network: Network, meters: Sequence[Meter]) -> MeasurementMode
 
 def _scaled_jacobian(network: Network, model: MeasurementModel, reference: int) -> sp.csr_array:
     """Rows of H at the flat start, each scaled to length 1."""
-    vm, va = find_start(network, reference)
+    vm, va = flat_start(network, reference)
     H = model.jacobian(np.r_[va, vm, network.taps])
     return scale_rows(H, reciprocal_row_lengths(H))
 

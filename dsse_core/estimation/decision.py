@@ -309,7 +309,7 @@ def _give_up(memory: Memory, reason: str) -> tuple[Memory, Verdict]:
     return Memory(memory.removed[:-1], memory.tied[:-1], memory.removed[-1], spent=spent), Verdict(Decision.ANEW)
 
 
-def _are_steps_used_up(memory: Memory) -> bool:
+def are_steps_used_up(memory: Memory) -> bool:
     """True where the scan has no steps left for a further start without a meter.
 
     A scan may take all steps of two starts, with the bad meter and without it, and FULL_STEPS more for each meter taken
@@ -329,7 +329,7 @@ def _remove_worst(memory: Memory, totals: Totals) -> tuple[Memory, Verdict]:
     suspects = dict(totals.worst)
     if not suspects or find_taps(suspects) or not _exceeds_limit(totals) or len(memory.removed) >= MOST_REMOVED:
         return replace(memory, evaluating=False), Verdict(Decision.FINAL)
-    if _are_steps_used_up(memory):
+    if are_steps_used_up(memory):
         return replace(memory, evaluating=False), Verdict(Decision.FINAL, reason=STEPS_USED_UP)
     first, *others = [meter for meter, _ in totals.worst]
     tied = tuple(sorted([*others, *(meter for meter, _ in totals.tied)]))

@@ -16,7 +16,7 @@ from dsse_core.estimation.plan import EstimationPlan
 from dsse_core.estimation.residuals import THRESHOLD
 from dsse_core.estimation.result import EstimationResult
 from dsse_core.gauss_newton import MAX_DVA, MAX_DVM, Solution, are_magnitudes
-from dsse_core.grid.admittance import build_admittance, find_start
+from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.meter_table import QUANTITY, number_kinds
 from dsse_core.grid.network import Network
@@ -116,7 +116,7 @@ def _find_weakest(plan: EstimationPlan, sigmas: np.ndarray) -> str:
 
     Empty where noise moves no voltage so far, or where the deviations cannot be computed.
     """
-    vm, va = find_start(plan.network, plan.reference)
+    vm, va = flat_start(plan.network, plan.reference)
     nothing: Solution = vm, va, np.zeros(len(sigmas)), 0.0, 0
     try:
         found = EstimationResult(

@@ -123,17 +123,6 @@ def flat_start(
     return vm, np.angle(np.exp(1j * va))
 
 
-def find_start(network: Network, reference: int) -> tuple[np.ndarray, np.ndarray]:
-    """``flat_start``, where an estimate begins; with all switches closed if it takes these to hold all voltages.
-
-    A switch that carries no current opens without a change, and meters may tell voltages that float without load.
-    """
-    try:
-        return flat_start(network, reference)
-    except InvalidInputError:
-        return flat_start(network.operated(dict.fromkeys(network.switches, True)), reference)
-
-
 def find_no_load(
     network: Network,
     reference: int,

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from dsse_core.grid.admittance import Admittance, build_admittance, find_start
+from dsse_core.grid.admittance import Admittance, build_admittance, flat_start
 from dsse_core.grid.boundary import Kind
 from dsse_core.grid.columns import take_items
 from dsse_core.grid.further_currents import CurrentsBeyond
@@ -185,7 +185,7 @@ def _count_currents(area: Area, model: MeasurementModel) -> MeasurementModel:
 def build_whole_grid(network: Network, meters: Sequence[Meter], reference: int) -> GridSolver:
     """Numerics of a grid as one area without neighbours, whose ``meters`` fit the network and determine its state."""
     admittance = build_admittance(network)
-    vm, va = find_start(network, reference)
+    vm, va = flat_start(network, reference)
     given = network.slack.va if network.slack and network.slack.bus == reference else 0.0
     area, nothing = Area("", network, (), reference, None, (reference, given)), np.zeros(len(meters))
     flat = area.join_state(vm, va + given)
