@@ -10,10 +10,11 @@ import numpy as np
 
 from dsse_core.compiling import find_obstacle
 from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError
+from dsse_core.estimation.divergence import explain_magnitudes
 from dsse_core.estimation.estimator import estimate_with_plan
 from dsse_core.estimation.plan import EstimationPlan
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
-from dsse_core.gauss_newton import LAST_STEP, MOST_STEPS
+from dsse_core.gauss_newton import LAST_STEP, MOST_STEPS, REST
 from dsse_core.grid.measurement import are_usable, check_readings, read_numbers
 from dsse_core.radial.plan import RadialPlan
 from dsse_core.row_threads import find_threads, share_out
@@ -214,7 +215,7 @@ class _Rows:
                 self.limits[here], self.values[here], _rows_of(self.sigmas, here), space, lanes,
                 self.vm[here], self.va[here], self.objective[here], self.iterations[here], succeeded,
             )  # fmt: skip
-            for k in np.flatnonzero(~succeeded).tolist():
+            for k in np.flatnonzero(~succeeded | (self.vm[here] <= REST).any(axis=1)).tolist():
                 self._do_alone(first + k)
 
         return do
@@ -252,6 +253,8 @@ class _Rows:
                 start=(start[0, 0], start[0, 1]) if len(start) else None,
                 tolerance=self.tolerance,
             )
+            if cause := explain_magnitudes(found.network, found.x):
+                raise EstimationDivergedError(found.iterations, 0.0, cause)
         except (InvalidInputError, NotObservableError, EstimationDivergedError) as error:
             self.failures[k] = describe_failure(error)
             self.vm[k] = self.va[k] = self.objective[k] = np.nan

@@ -26,6 +26,7 @@ from dsse_core.exchange.feeder_bad_data import (
     find_objective,
 )
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.nodes import list_phases
 from dsse_core.grid.partition import Area
 from dsse_core.grid.quantities import Quantity
 from dsse_core.grid.supply import FED, Pieces, find_alternatives, find_pieces, find_pieces_for
@@ -402,9 +403,12 @@ class AreaEstimation:
         return int((self._of_dead & self._is_own).sum() + self._supplied.network.are_taps_dead.sum())
 
     def _find_energised(self) -> tuple[str, ...]:
-        """Ids of the voltmeters that read a voltage at a node without supply."""
-        read = [m for m in self._readings if m.meter.kind is MeasurementKind.VM and m.value >= DEAD_VM]
-        return tuple(sorted(m.meter.id for m in self._split_dead(read)[1]))
+        """Ids of the voltmeters that read a voltage where no node has supply."""
+        if not (network := self._supplied.network).dead:
+            return ()
+        read = (m.meter for m in self._readings if m.meter.kind is MeasurementKind.VM and m.value >= DEAD_VM)
+        at = {meter.id: [network.node(meter.bus, phase) for phase in list_phases(meter.phases)] for meter in read}
+        return tuple(sorted(meter for meter, nodes in at.items() if network.is_dead[nodes].all()))
 
     def _multiply_own(self, a: np.ndarray, b: np.ndarray) -> float:
         """Product of two steps over the voltages of the area's own buses."""

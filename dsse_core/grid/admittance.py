@@ -191,8 +191,9 @@ def _find_idle(network: Network, reference: int, vm: float, va: float) -> tuple[
             problem = f"nothing joins phases of bus {names} to the source or to ground; {cure}"
             raise InvalidInputError(f"network {network.name!r}", [problem])
         source[free] = lu.solve(-(ybus[free][:, given] @ source[given]))
-        if (dark := free[abs(source[free]) < NEGLIGIBLE]).size:
-            names = listed([network.node_names[node] for node in dark.tolist()])
+        dark = free[abs(source[free]) < NEGLIGIBLE].tolist()
+        if grounded := [node for node in dark if network.node_buses[node] not in network.gauge.ungrounded]:
+            names = listed([network.node_names[node] for node in grounded])
             cure = "give their other phases shunts to ground, too, or none of them"
             problem = f"shunts to ground hold {names} at a voltage of 0, which has no angle; {cure}"
             raise InvalidInputError(f"network {network.name!r}", [problem])

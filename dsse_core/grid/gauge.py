@@ -158,7 +158,7 @@ def _find_draws(table: NetworkTable, common: dict[int, float]) -> dict[str, comp
         np.add.at(to_ground, node, p.charging @ v[node])
         np.add.at(size, node, abs(p.y).sum(axis=1))
     within, phase = v != 0, table.nodes.phase
-    if abs(to_ground[within]).max() < NEGLIGIBLE * size[within].max():
+    if abs(to_ground[within]).max() <= NEGLIGIBLE * size[within].max():
         return {}
     drawn = v * to_ground
     return {PHASES[k]: complex(drawn[phase == k].sum()) for k in np.unique(phase[within]).tolist()}

@@ -15,7 +15,7 @@ from coordinator.lab.strategy_check import check_with_strategy
 from coordinator.watch.observe.switches import find_statuses
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.bad_data import process_bad_data
-from dsse_core.grid.measurement import MeasurementKind
+from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.nodes import name_node
 from dsse_core.grid.switches import keep_in_service
 from dsse_core.link_faults import LinkFaults
@@ -193,6 +193,20 @@ def test_a_voltage_where_there_is_no_supply_takes_good_from_all_and_names_the_op
     assert voltmeters
     assert all(meter in note for meter in voltmeters)
     assert "open around: 12-22, 18-33, 21-8, 7-8, 9-15; check these statuses" in note
+
+
+def test_a_voltage_between_a_dead_phase_and_a_live_one_contradicts_nothing():
+    whole, between = switched13(), Meter(MeasurementKind.VM, 684, phases="ac")
+    scenario = replace(whole, meters=(*whole.meters, between))
+    bus, closed = settle(scenario), {"671-684.a": False}
+    _, telemetry, by_area = read_after(scenario, closed)
+    assert next(m.value for m in telemetry.union if m.meter == between) > 0.5
+    order(bus, closed)
+    bus.next_scan(by_area)
+    bus.run(3.0)
+    notes = [note for state in bus.states.values() for note in state.notes]
+    assert any("without supply" in note and "684.a" in note for note in notes)
+    assert not any("read a voltage" in note for note in notes)
 
 
 @pytest.mark.parametrize("strategy", ["admm", "angle-offset"])

@@ -10,6 +10,7 @@ import pytest
 
 from dsse_core.errors import EstimationDivergedError, InvalidInputError
 from dsse_core.estimation.bad_data import process_bad_data
+from dsse_core.estimation.batch import estimate_batch
 from dsse_core.estimation.estimator import estimate_with_plan, plan_scan
 from dsse_core.grid.admittance import find_no_load
 from dsse_core.grid.division import build_partition
@@ -74,6 +75,18 @@ def test_an_iteration_that_ends_below_a_magnitude_of_0_names_the_node() -> None:
     network = grounded_by({"a": 181, "b": 1.4}, CAPACITOR, load=1.0)
     with pytest.raises(EstimationDivergedError, match=r"it has come to -0\.\d+ p\.u\. at bus 4\.a, where no grid is"):
         process_bad_data(network, place_meters(network, 13, None, is_rich=False))
+
+
+def test_a_row_of_a_batch_that_ends_below_a_magnitude_of_0_is_a_failure_though_bad_data_are_looked_for() -> None:
+    network = grounded_by({"a": 181, "b": 1.4}, CAPACITOR, load=1.0)
+    readings = place_meters(network, 13, None, is_rich=False)
+    plan, values, sigmas = plan_scan(network, readings, reference=None, backend="auto")
+    k = [meter.id for meter in plan.meters].index("p_injection@4.a")
+    values[k] += 15 * sigmas[k]
+    assert estimate_with_plan(plan, values, sigmas).vm.min() < 0
+    batch = estimate_batch(plan, values[np.newaxis], sigmas)
+    assert "p.u. at bus 4.a, where no grid is" in batch.failures[0].text
+    assert np.isnan(batch.vm).all()
 
 
 def test_a_corner_that_shunts_hold_at_ground_is_refused_by_name() -> None:

@@ -58,6 +58,14 @@ def test_buses_behind_a_bank_are_ungrounded_where_no_zero_sequence_can_flow(
     assert network.bus(1).id not in network.gauge.ungrounded
 
 
+def test_a_bus_alone_has_no_path_to_ground() -> None:
+    network = feeder(bank("grounded", "grounded"), line(1e-4))
+    alone = replace(network.branches[-1], in_service=False)
+    opened = replace(network, branches=(*network.branches[:-1], alone))
+    assert opened.gauge.ungrounded == (5,)
+    assert opened.supplied().dead_places == ("5",)
+
+
 def test_taps_that_differ_by_phase_ground_a_part_and_equal_ones_do_not() -> None:
     reg, same = bank("grounded", "grounded", (1.05, 1.0, 1.02)), bank("grounded", "grounded", (1.05, 1.05, 1.05))
     assert feeder(bank("grounded", "delta"), same).gauge.ungrounded == (3, 4, 5)
