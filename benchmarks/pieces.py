@@ -94,7 +94,10 @@ def main(scenario: str, runs: int, figures: str | None) -> None:
     for name, text in machine.items():
         click.echo(f"{name}: {text}")
     for called, count in COUNTS.items():
-        cut = dsse.load_scenario(scenario, changes={"areas": {"count": count}})
+        try:
+            cut = dsse.load_scenario(scenario, changes={"areas": {"count": count}})
+        except dsse.InvalidInputError as error:
+            raise click.ClickException(str(error)) from None
         for size, found in compare_steps(cut, SIZES, runs):
             facts[f"{called}, pieces of {size} nodes"] = found
     click.echo("\n" + list_facts(facts))

@@ -23,7 +23,7 @@ class Suggestions:
     def find(self, word: str) -> str:
         """``"; did you mean 'x'?"`` where an allowed word is close to ``word``, else nothing."""
         close = self.find_word(word)
-        return f"; did you mean {close!r}?" if close else ""
+        return f"; did you mean {str(close)!r}?" if close else ""
 
     def find_word(self, word: str) -> str:
         """The allowed word that is close to ``word``, else nothing."""

@@ -237,7 +237,9 @@ class Network:
         Raises:
             InvalidInputError: several branches have the name.
         """
-        named = [] if text in self.branch_by_id else [b.id for b in self.branches if b.name.lower() == text.lower()]
+        if not text or text in self.branch_by_id:
+            return text
+        named = [b.id for b in self.branches if b.name.lower() == text.lower()]
         if len(named) > 1:
             problem = f"{len(named)} branches are called {text!r}; give the id of one: {listed(named)}"
             raise InvalidInputError(f"network {self.name!r}", [problem])

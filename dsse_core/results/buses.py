@@ -79,7 +79,7 @@ def _find_unbalance(network: Network, vm: np.ndarray, va: np.ndarray) -> np.ndar
 
     Nan at buses where not all of a, b and c are there and live.
     """
-    nodes, v = network.table.nodes, np.append(np.where(network.is_dead, np.nan, vm * np.exp(1j * va)), np.nan)
+    nodes, v = network.table.nodes, np.append(np.where(vm == 0.0, np.nan, vm * np.exp(1j * va)), np.nan)
     bus = np.arange(len(nodes.sets))
     a, b, c = (v[nodes.find(bus, phase)] for phase in (A, B, C))  # the last one stands for no node
     unbalance = abs(a + TURN**2 * b + TURN * c) / abs(a + TURN * b + TURN**2 * c)

@@ -110,3 +110,10 @@ def test_islands_without_a_branch_are_those_where_it_is_open(name):
         branches = (*network.branches[:row], replace(branch, in_service=False), *network.branches[row + 1 :])
         without = replace(network, branches=branches).table.node_island
         np.testing.assert_array_equal(network.table.find_islands(row), without)
+
+
+def test_a_branch_is_found_by_its_id_else_by_its_name_and_none_by_no_name():
+    network = Network(
+        "n", 1.0, (Bus(1, 1.0), Bus(2, 1.0)), (Branch("a", 1, 2, 0.1, 0.1, name="Cable"), Branch("b", 1, 2, 0.1, 0.1))
+    )
+    assert [network.id_of(text) for text in ("a", "cable", "", "c")] == ["a", "a", "", "c"]
