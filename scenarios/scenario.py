@@ -22,7 +22,7 @@ from dsse_core.grid.measurement import KIND_OF, Measurement, Meter, Source, find
 from dsse_core.grid.meter_table import KINDS, join_meters, tabulate_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area, Partition
-from dsse_core.grid.switches import find_dead_meters, keep_in_service, keep_meters_in_service
+from dsse_core.grid.switches import find_dead_meters, find_meters_in_service, keep_in_service
 from dsse_core.printable import listed, printable
 from dsse_core.reading_rules import ReadingRules
 from scenarios.faults.faults import (
@@ -138,7 +138,7 @@ class Scenario:
         partition = self.partition.operated(closed)
         if partition is self.partition:
             return self
-        meters = keep_meters_in_service(partition.network, self.meters)
+        meters = take_items(self.meters, find_meters_in_service(partition.network, self.meters))
         read = keep_in_service(partition.network, self.telemetry.readings)
         telemetry = replace(self.telemetry, readings=read)
         return replace(self, network=partition.network, partition=partition, meters=meters, telemetry=telemetry)

@@ -186,13 +186,10 @@ class AreaEstimation:
         self._drop_model()
         return True
 
-    def _split_dead(self, readings: Sequence[Measurement]) -> tuple[list[Measurement], list[Measurement]]:
-        """The ``readings`` of meters where there is supply, and the others."""
-        if not self._supplied.network.dead:
-            return list(readings), []
+    def _keep_supplied(self, readings: Sequence[Measurement]) -> list[Measurement]:
+        """The ``readings`` of meters where there is supply."""
         is_dead = find_dead_meters(self._supplied.network, [m.meter for m in readings]).tolist()
-        split = [[m for m, dead in zip(readings, is_dead, strict=True) if dead == side] for side in (False, True)]
-        return split[0], split[1]
+        return [m for m, dead in zip(readings, is_dead, strict=True) if not dead]
 
     def _leave_dead(self, pieces: Mapping[str, Pieces]) -> None:
         """``_find_dead`` before the first step, with a new model where it finds others."""
@@ -250,7 +247,7 @@ class AreaEstimation:
         """Ids of the voltmeters that are left out because no grid works at the voltage that they read, where there is
         supply.
         """
-        voltmeters, _ = self._split_dead([m for m in self._readings if m.meter.kind is MeasurementKind.VM])
+        voltmeters = self._keep_supplied([m for m in self._readings if m.meter.kind is MeasurementKind.VM])
         rows = find_dead([m.meter for m in voltmeters], [m.value for m in voltmeters])
         return tuple(voltmeters[k].meter.id for k in rows)
 
@@ -273,7 +270,7 @@ class AreaEstimation:
         as_before = self._silent or self._is_blank
         further: tuple[VoltageReadings, ...] = (VoltageReadings(self._start[: 2 * self._n]),) if as_before else ()
         if self.dead.any():
-            in_use, _ = self._split_dead(in_use)
+            in_use = self._keep_supplied(in_use)
             further += (VoltageReadings(self._flat[: 2 * self._n], there=self._of_dead),)
         meters = tuple(m.meter for m in in_use)
         former = self._model

@@ -9,7 +9,7 @@ import numpy as np
 
 from dsse_core.grid.columns import take_items
 from dsse_core.grid.measurement import Measurement, Meter
-from dsse_core.grid.meter_table import average, read_meters_of, tabulate_meters
+from dsse_core.grid.meter_table import average, find_virtual, read_meters_of, tabulate_meters
 from dsse_core.grid.network import Network
 
 Status = Literal["open", "closed"]
@@ -54,12 +54,19 @@ def take_fed(network: Network, readings: Sequence[Measurement]) -> tuple[Network
 
 
 def find_dead_meters(network: Network, meters: Sequence[Meter]) -> np.ndarray:
-    """True for each of ``meters`` in service that has an end at a dead node, of a total all its ends, (n_meas,)."""
+    """True for each of ``meters`` in service that has an end at a dead node, of a total all its ends, (n_meas,).
+
+    Also for a virtual total that follows from other meters: all its nodes with supply have virtual P and Q themselves.
+    """
     if not network.dead:
         return np.zeros(len(meters), dtype=bool)
     table, of_meter = tabulate_meters(network, meters).spread()
     is_dead = np.append(network.is_dead, False)  # the last one for the ground
     dead = is_dead[table.node] if table.other is None else is_dead[table.node] | is_dead[table.other]
+    if of_meter is not None:
+        virtual, is_total = find_virtual(meters)[of_meter], np.bincount(of_meter)[of_meter] > 1
+        is_idle = np.bincount(table.node[virtual & ~is_total & ~dead], minlength=len(is_dead)) == 2  # P and Q
+        dead |= virtual & is_total & is_idle[table.node]
     return np.asarray(average(dead.astype(float), of_meter) == 1.0)
 
 
@@ -67,12 +74,6 @@ def keep_in_service(network: Network, readings: Sequence[Measurement]) -> Sequen
     """``readings`` without those of meters at branches that are open."""
     rows = find_meters_in_service(network, read_meters_of(readings))
     return readings if len(rows) == len(readings) else take_items(readings, rows)
-
-
-def keep_meters_in_service(network: Network, meters: Sequence[Meter]) -> Sequence[Meter]:
-    """``meters`` without those at branches that are open."""
-    rows = find_meters_in_service(network, meters)
-    return meters if len(rows) == len(meters) else take_items(meters, rows)
 
 
 def find_meters_in_service(network: Network, meters: Sequence[Meter]) -> np.ndarray:

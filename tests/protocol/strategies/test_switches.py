@@ -15,11 +15,13 @@ from coordinator.lab.strategy_check import check_with_strategy
 from coordinator.watch.observe.switches import find_statuses
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.bad_data import process_bad_data
-from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.admittance import build_admittance
+from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.nodes import name_node
 from dsse_core.grid.switches import keep_in_service
 from dsse_core.link_faults import LinkFaults
-from scenarios.scenario import Scenario
+from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import Telemetry, make_telemetry
 from tests.support.levels import further, many_more
 from tests.support.rings import ACROSS, TIES, switched13, tied33
@@ -180,6 +182,63 @@ def test_phases_without_supply_are_at_0_the_others_as_the_centre_has_them_and_th
         bus.next_scan(before.by_area)
         bus.run(3.0)
     assert_equals_fed_centre(bus, scenario, before)
+
+
+LEGS_AT_THE_END = """
+name = "legs"
+data_source = "made up"
+base_mva = 1.0
+bus = [
+    { id = 1, base_kv = 4.16, phases = "abc" },
+    { id = 2, base_kv = 4.16, phases = "abc" },
+    { id = 3, base_kv = 4.16, phases = "abc" },
+]
+branch = [
+    { from = 1, to = 2, phases = "a", r_ohm = 0.1, x_ohm = 0.3, id = "a", switch = true },
+    { from = 1, to = 2, phases = "b", r_ohm = 0.1, x_ohm = 0.3, id = "b", switch = true },
+    { from = 1, to = 2, phases = "c", r_ohm = 0.1, x_ohm = 0.3, id = "c", switch = true },
+    { from = 2, to = 3, phases = "abc", r_ohm = 0.1, x_ohm = 0.3 },
+]
+load = [
+    { bus = 2, phases = "a,b,c", p_kw = [5.0, 6.0, 8.0], q_kvar = [2.0, 2.4, 3.2] },
+    { bus = 3, phases = "bc", p_kw = [3.0], q_kvar = [1.2] },
+]
+source = [{ bus = 1, kind = "slack", vm_pu = 1.0 }]
+"""
+IN_TWO_AREAS = """
+version = 1
+description = "legs between two phases at the end of a feeder"
+network = "legs.toml"
+areas.area1.buses = [1, 2]
+areas.area2.buses = [2, 3]
+measurements.floor_kva = 0.1
+measurements.voltage = { buses = "all", sigma_percent = 0.5 }
+measurements.flow = { branches = "all", sigma_percent = 1.0 }
+measurements.injection = { buses = "all", sigma_percent = 5.0 }
+telemetry.noise = false
+"""
+
+
+@pytest.mark.parametrize("opened", ["bc", *further("c", "a")])
+def test_a_sum_of_currents_that_follows_from_the_nodes_with_supply_is_no_second_constraint(tmp_path, opened):
+    """Legs stand between b and c alone: once both are dead, the sum at bus 3 is the current of a, which is 0 itself."""
+    (tmp_path / "legs.toml").write_text(LEGS_AT_THE_END)
+    (tmp_path / "scenario.toml").write_text(IN_TWO_AREAS)
+    bus = settle(scenario := load_scenario(tmp_path / "scenario.toml"))
+    operated, telemetry, by_area = read_after(scenario, dict.fromkeys(opened, False))
+    order(bus, dict.fromkeys(opened, False))
+    for _ in range(2):
+        bus.next_scan(by_area)
+        bus.run(3.0)
+    assert_equals_fed_centre(bus, operated, telemetry)
+    report = estimate_centralised(operated, telemetry).report
+    assert telemetry.truth is not None
+    assert report.removed == ()
+    assert abs(report.result.vm - telemetry.truth.vm).max() < GAP
+    result, exact = report.result, [m.meter for m in report.result.measurements if m.meter.source is Source.VIRTUAL]
+    H = build_measurement_model(result.network, build_admittance(result.network), exact).jacobian(result.x)
+    assert np.linalg.matrix_rank(H.toarray()[:, np.tile(~result.network.is_dead, 2)]) == len(exact)
+    assert ("i_real@3" not in {meter.id for meter in exact}) == (opened == "bc")
 
 
 @pytest.mark.long
