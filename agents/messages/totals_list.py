@@ -16,6 +16,7 @@ import msgspec
 
 from agents.messages.checks import Count, Digest, Integer, MessageError, Name, Names, Number, shown
 from dsse_core.estimation.decision import Totals
+from dsse_core.grid.gauge import Change
 from dsse_core.split_identity import HeldSplits, SplitIdentity, SplitUse
 
 WireSplit = tuple[Digest, Number, Digest]
@@ -28,6 +29,7 @@ _CHECKED: Mapping[Any, Any] = {
     tuple[tuple[str, float], ...]: tuple[tuple[Name, Number], ...],
     tuple[SplitUse, ...]: tuple[tuple[WireSplit, Names], ...],
     HeldSplits: tuple[tuple[WireSplit, Count], ...],
+    tuple[Change, ...]: tuple[tuple[Count, Number, Number, Number, Number], ...],
 }
 SHORT = {
     "objective": "J",

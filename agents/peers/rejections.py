@@ -140,6 +140,7 @@ def find_unreasonable(
         case UpMessage() | DownMessage():
             t = message.totals
             numbers = *message.R, *message.z, *message.no_load, *message.power, t.degrees_of_freedom, t.turn
+            numbers = *numbers, *(y for _, *change in t.common for y in change)
             named = [value for _, value in (*t.worst, *t.tied)]
             sizes = t.objective, t.dvm, t.dva, t.square, *named, t.areas, t.held_back
             possible = are_within_reason((*numbers, *sizes)) and min(sizes) >= 0

@@ -16,6 +16,7 @@ import numpy as np
 from dsse_core import gauss_newton
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, find_switches, find_taps, keep_equal, keep_tied
 from dsse_core.gauss_newton import FULL_STEPS, LAST_STEP, MOST_STEPS
+from dsse_core.grid.gauge import Change
 from dsse_core.linear.boundary_information import BEYOND_REASON
 from dsse_core.split_identity import HeldSplits, SplitUse, add_held, add_uses
 
@@ -94,6 +95,7 @@ class Totals:
     turn: float = 0.0
     energised: tuple[str, ...] = ()  # voltmeters that read a voltage where no closed branch leads to the substation
     dark: tuple[str, ...] = ()  # open branches with such an end
+    common: tuple[Change, ...] = ()  # of parts without ground but by shunts, since the split
 
     @property
     def step(self) -> float:
@@ -126,6 +128,7 @@ def add_totals(parts: Iterable[Totals]) -> Totals:
         turn=limit_total(sum(t.turn for t in parts)),
         energised=_add_names(t.energised for t in parts),
         dark=_add_names(t.dark for t in parts),
+        common=_add_changes(change for t in parts for change in t.common),
     )
 
 
@@ -163,6 +166,14 @@ def _first_bus(buses: str) -> int:
     return int(number) if number.isdecimal() else 0
 
 
+def _add_changes(changes: Iterable[Change]) -> tuple[Change, ...]:
+    total: dict[int, np.ndarray] = {}
+    for part, *change in changes:
+        total[part] = total.get(part, 0.0) + np.array(change)
+    limited = ((part, map(limit_total, of_part.tolist())) for part, of_part in sorted(total.items()))
+    return tuple((part, a, b, c, d) for part, (a, b, c, d) in limited)[:MOST_NAMED]
+
+
 def _add_names(parts: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
     return tuple(sorted({name for part in parts for name in part}))[:MOST_NAMED]
 
@@ -180,7 +191,7 @@ class Memory:
     product with itself, 0 where that step was corrected. ``objective``: J before the last step. ``stepped``: the last
     step is not corrected.
     ``from_flat_start``: the start of the scan has led to no end with these meters. ``spent``: number of steps of all
-    starts before.
+    starts before. ``common``: the changes by which that start differs from the one of the split.
     """
 
     removed: tuple[str, ...] = ()
@@ -197,6 +208,7 @@ class Memory:
     share_before: float = 1.0
     square_before: float = 0.0
     objective: float = 0.0
+    common: tuple[Change, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -260,7 +272,7 @@ def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tupl
         case gauss_newton.LOST if memory.from_flat_start:
             return _give_up(memory, OUT_OF_REACH if is_far else DIVERGED)
         case gauss_newton.LOST:
-            return begin_at_flat_start(memory), Verdict(Decision.ANEW)
+            return begin_at_flat_start(memory, totals.common), Verdict(Decision.ANEW)
     square = totals.square if memory.stepped else 0.0
     memory = replace(
         memory,
@@ -292,10 +304,10 @@ def is_lost(totals: Totals) -> bool:
     return not totals.step <= gauss_newton.LARGEST_STEP or gauss_newton.is_out_of_reach(totals.dvm)
 
 
-def begin_at_flat_start(memory: Memory) -> Memory:
+def begin_at_flat_start(memory: Memory, common: tuple[Change, ...] = ()) -> Memory:
     """Memory of a second start, at the flat start with the same meters, as the start of the scan has led to no end."""
     spent = memory.spent + memory.steps
-    return Memory(memory.removed, memory.tied, memory.kept, from_flat_start=True, spent=spent)
+    return Memory(memory.removed, memory.tied, memory.kept, from_flat_start=True, spent=spent, common=common)
 
 
 def _give_up(memory: Memory, reason: str) -> tuple[Memory, Verdict]:

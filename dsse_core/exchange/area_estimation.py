@@ -25,6 +25,7 @@ from dsse_core.exchange.feeder_bad_data import (
     count_freedom,
     find_objective,
 )
+from dsse_core.grid.gauge import Change, draw_common, shift_common
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.nodes import list_phases
 from dsse_core.grid.partition import Area
@@ -58,7 +59,8 @@ class AreaEstimation:
         self._reference = area.reference[0] if area.reference else None
         self._n = area.network.n_nodes
         self._by_name = {n.area: n for n in area.neighbours}
-        self._flat = _flat_start(area)
+        self._flat = self._flat_of_split = _flat_start(area)
+        self._drawn_in_split = self._draw_common(area)
         self.x = self._flat
         self.failure = ""
         self.removed: tuple[str, ...] = ()
@@ -393,7 +395,26 @@ class AreaEstimation:
             unobservable=self.area.network.name_nodes([node for node in self.unobservable if self._is_own[node]]),
             energised=self._find_energised()[:MOST_NAMED],
             dark=self._supplied.network.open_around_dead[:MOST_NAMED],
+            common=self._find_changes() if self._drawn_in_split else (),
         )
+
+    def _find_changes(self) -> tuple[Change, ...]:
+        """Changes of what charging and bus shunts draw, by switches and nodes without supply."""
+        drawn = self._draw_common(self._supplied)
+        changes = ((part, (drawn[part] - before).tolist()) for part, before in self._drawn_in_split.items())
+        return tuple((part, *change) for part, change in changes if any(change))
+
+    def _draw_common(self, area: Area) -> dict[int, np.ndarray]:
+        va, vm = self._flat_of_split[: 2 * area.network.n_nodes].reshape(2, -1)
+        return draw_common(area.network.table, area.network.gauge, vm * np.exp(1j * va))
+
+    def _find_flat(self, changes: Sequence[Change]) -> np.ndarray:
+        """x of the flat start after ``changes`` of all areas since the split."""
+        network, n = self._supplied.network, 2 * self._n
+        va, vm = self._flat_of_split[:n].reshape(2, -1)
+        v = vm * np.exp(1j * va)
+        moved = shift_common(network.table, network.gauge, v, changes)
+        return np.concatenate([va + np.angle(moved / v), abs(moved), self._flat_of_split[n:]])
 
     def _count_dead(self) -> int:
         """The number of voltages of own nodes, and of estimated taps, without supply."""
@@ -451,6 +472,8 @@ class AreaEstimation:
                     self._step = np.zeros_like(self.x)
                     self._build()
                 case Decision.ANEW:
+                    if memory.from_flat_start:
+                        self._flat = self._find_flat(memory.common)
                     self._start = self._flat if memory.from_flat_start else self._start_of_term
                     self._operate(memory.removed)
                     self._start_anew(memory.removed)

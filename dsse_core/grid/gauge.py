@@ -21,6 +21,9 @@ from dsse_core.printable import listed
 NEGLIGIBLE = 1e-4  # relative: a smaller draw to ground is no ground, a smaller difference of voltages none
 PIN = 1.0  # p.u., the admittance of the shunt
 
+Change = tuple[int, float, float, float, float]
+"""Part, and real and imaginary part of the change of what it draws at its common voltage, and at the unloaded one."""
+
 
 @dataclass(frozen=True, slots=True)
 class Gauge:
@@ -29,17 +32,21 @@ class Gauge:
     ``pinned``: buses with the shunt, one of each part. Those that are not ungrounded have a ground by charging and
     bus shunts only, and the shunt stands in for it where these are left out. ``shares``: bus, phase, and real and
     imaginary part of the phase's share in their admittance to ground, by which the shunt weighs its voltage there.
+    ``common``: of each bus of such a part, the part's pinned bus, the bus' common voltage where that has 1 p.u., and
+    real and imaginary part of what the whole part draws at these.
     """
 
     ungrounded: tuple[int, ...] = ()
     pinned: tuple[int, ...] = ()
     shares: tuple[tuple[int, str, float, float], ...] = ()
+    common: tuple[tuple[int, int, float, float, float], ...] = ()
 
     def within(self, buses: np.ndarray, owned: np.ndarray) -> Gauge:
         """The gauge of a part of the network with ``buses``, of which it holds the shunts of those ``owned``."""
         there, own = set(buses.tolist()), set(owned.tolist())
         ungrounded, pinned = (b for b in self.ungrounded if b in there), (b for b in self.pinned if b in own)
-        return Gauge(tuple(ungrounded), tuple(pinned), tuple(share for share in self.shares if share[0] in own))
+        shares, common = (s for s in self.shares if s[0] in own), (c for c in self.common if c[0] in there)
+        return Gauge(tuple(ungrounded), tuple(pinned), tuple(shares), tuple(common))
 
 
 def describe_ungrounded(buses: Sequence[int]) -> str:
@@ -68,14 +75,17 @@ def find_gauge(table: NetworkTable, source: int | None) -> Gauge:
         return Gauge()
     links = _find_links(table)
     ungrounded, pinned, shares, ids = [], [], list[tuple[int, str, float, float]](), table.bus_id.tolist()
+    of_buses = list[tuple[int, int, float, float, float]]()
     for common in _find_parts(len(ids), links, source):
         rows = sorted(common)
         pinned.append(ids[max(rows, key=lambda row: (int(table.phases[row]).bit_count(), -row))])
         draws = _find_draws(table, common)
-        total = sum(map(abs, draws.values()))
+        total, drawn, of_pinned = sum(map(abs, draws.values())), sum(draws.values()), common[ids.index(pinned[-1])]
         shares += [(pinned[-1], phase, (y / total).real, (y / total).imag) for phase, y in draws.items()]
         ungrounded += [] if draws else [ids[row] for row in rows]
-    return Gauge(tuple(sorted(ungrounded, key=ids.index)), tuple(pinned), tuple(shares))
+        y = drawn / of_pinned**2
+        of_buses += [(ids[r], pinned[-1], common[r] / of_pinned, y.real, y.imag) for r in rows if draws]
+    return Gauge(tuple(sorted(ungrounded, key=ids.index)), tuple(pinned), tuple(shares), tuple(of_buses))
 
 
 def project_charging(charging: np.ndarray, ungrounded: Iterable[np.ndarray]) -> np.ndarray:
@@ -149,6 +159,16 @@ def _find_draws(table: NetworkTable, common: dict[int, float]) -> dict[str, comp
     of_bus = np.zeros(len(table.bus_id))
     of_bus[list(common)] = list(common.values())
     v = of_bus[table.nodes.item]
+    to_ground, size = _draw(table, v)
+    within, phase = v != 0, table.nodes.phase
+    if abs(to_ground[within]).max() <= NEGLIGIBLE * size[within].max():
+        return {}
+    drawn = v * to_ground
+    return {PHASES[k]: complex(drawn[phase == k].sum()) for k in np.unique(phase[within]).tolist()}
+
+
+def _draw(table: NetworkTable, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Currents through charging and bus shunts at ``v``, and sizes of the branches' admittances, (n_nodes,)."""
     to_ground, size = np.zeros(len(v), dtype=complex), np.zeros(len(v))
     y, row, column = table.of_shunts
     np.add.at(to_ground, row, y * v[column])
@@ -157,8 +177,35 @@ def _find_draws(table: NetworkTable, common: dict[int, float]) -> dict[str, comp
         node = table.port_node[np.concatenate([table.ports.at(end) for end in ends])]
         np.add.at(to_ground, node, p.charging @ v[node])
         np.add.at(size, node, abs(p.y).sum(axis=1))
-    within, phase = v != 0, table.nodes.phase
-    if abs(to_ground[within]).max() <= NEGLIGIBLE * size[within].max():
-        return {}
-    drawn = v * to_ground
-    return {PHASES[k]: complex(drawn[phase == k].sum()) for k in np.unique(phase[within]).tolist()}
+    return to_ground, size
+
+
+def _find_common(table: NetworkTable, gauge: Gauge) -> dict[int, np.ndarray]:
+    """Part -> its common voltage at the nodes with supply, (n_nodes,), of the parts with buses in ``table``."""
+    of_parts: dict[int, np.ndarray] = {}
+    for bus, part, ratio, *_ in gauge.common:
+        at = table.nodes.item == table.rows.row_of(bus)
+        of_parts.setdefault(part, np.zeros(len(at)))[at & ~table.is_dead] = ratio
+    return of_parts
+
+
+def draw_common(table: NetworkTable, gauge: Gauge, v: np.ndarray) -> dict[int, np.ndarray]:
+    """Part -> parts of what charging and bus shunts draw at its common voltage and at ``v``, (4,)."""
+    live, found = ~table.is_dead, {}
+    for part, common in _find_common(table, gauge).items():
+        drawn = common @ _draw(table, common)[0], common @ _draw(table, v * live)[0]
+        found[part] = np.array([part for y in drawn for part in (y.real, y.imag)])
+    return found
+
+
+def shift_common(table: NetworkTable, gauge: Gauge, v: np.ndarray, changes: Sequence[Change]) -> np.ndarray:
+    """Voltages ``v``, at which charging and bus shunts of each part draw no common current, after ``changes`` of what
+    they draw: moved by the common voltage at which they draw none again; as they are where nothing is left to draw.
+    """
+    before = {part: complex(*y) for _, part, _, *y in gauge.common}
+    of_parts, moved = _find_common(table, gauge), v.copy()
+    for part, a, b, c, d in changes:
+        y = before.get(part, 0.0) + complex(a, b)
+        if part in of_parts and abs(y) > NEGLIGIBLE * abs(before[part]):
+            moved -= complex(c, d) / y * of_parts[part]
+    return moved
